@@ -16,7 +16,7 @@ from ..engine.language.features.embedder import Embedder
 from ..engine.language.features.features import Features
 from ..engine.language.features.lift import encode_photos, lift_features
 from ..engine.language.features.lift_segments import mix_features
-from ..engine.language.masks.photo_segments import segmented_views
+from ..engine.language.masks.photo_segments import segment_views
 from ..engine.language.prompts.relevancy import relevancy
 from ..engine.photo_size import photo_scales
 from ..engine.progress import Progress, part, silent
@@ -75,7 +75,7 @@ def _mixed(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embed
     segmenter: Any = _Timed(embedder.segmenter, watch, {"segment": "find a photo's masks"})
     encoder: Any = _Timed(embedder.encoder, watch, {"encode_crops": "look at a batch of masks"})
     with tempfile.TemporaryDirectory() as cache:
-        views = segmented_views(scene, segmenter, encoder, Path(cache), part(progress, 0.0, 0.8))
+        views = segment_views(scene, segmenter, encoder, Path(cache), part(progress, 0.0, 0.8))
         with watch.stage("sum weights"):
             table = cell_weights(gaussians, scene.cameras, watch.each("crop and keep a photo's masks", views))
     with watch.stage("multiply by the masks' features"):

@@ -258,7 +258,7 @@ def correct(tree: Tree, out: Path, most: int = 3) -> list[Correction]:
     false = [counted.fruits[place] for place in before.false.tolist()]
     lesson, corrections = tree.lesson(tree.species), list[Correction]()
     for wrong in sorted(false, key=lambda fruit: (-fruit.probability, fruit.id))[:most]:
-        word = lesson.word([Mark(False, f"fruit {wrong.id}", tree.ground.around(wrong.center))])
+        word = lesson.word([Mark(False, f"fruit {wrong.id}", tree.ground.grow_region(wrong.center))])
         result = tree.counted_with(word, out / tree.folder.name / f"without {wrong.id}").fruit_count
         apart = np.linalg.norm(result.centers - wrong.center, axis=1)
         after = judge(result.centers, result.diameters, tree.truth)

@@ -105,7 +105,7 @@ def _counted(
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     with TemporaryDirectory() as cache:
         features = embedder.lift(gaussians, scene, Path(cache), scales=scales, recorder=recorder)
-    searched = Searched(scene, gaussians, features, recorder.kept(), encoder, config)
+    searched = Searched(scene, gaussians, features, recorder.collect(), encoder, config)
     probability = select(features, encoder, [species], [], config, gaussians.means)
     return count_prompts(searched, [species], [], probability)
 

@@ -236,7 +236,7 @@ def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress
                 gaussians, scene, run.cache, scales=scales, recorder=recorder, progress=part(progress, 0.1, 1.0)
             )
             if recorder is not None:
-                save_photo_features(features_file.with_name(PHOTOS), recorder.kept())
+                save_photo_features(features_file.with_name(PHOTOS), recorder.collect())
             save_features(features_file, lifted.of(gaussians.means))
     return features_file
 

@@ -19,7 +19,7 @@ from .config import Config, TrainConfig, decisive
 from .counting.accounts.zero import Quality
 from .language.features.embedder import Embedder
 from .language.features.features import save_features
-from .language.features.joint import judged
+from .language.features.joint import judge_channels
 from .memory import require_memory
 from .progress import Progress, part
 from .result_folder import SPOOL
@@ -261,7 +261,7 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
         scene, config.train, checkpoint=checkpoint, extra=extra, adapter=run.adapter, watch=run.watch, progress=progress
     )
     if semantics is not None and views is not None:
-        features = judged(semantics, training.channels, training.gaussians, training.cameras, views)
+        features = judge_channels(semantics, training.channels, training.gaussians, training.cameras, views)
         save_features(folder / FEATURES, features.of(training.gaussians.means))
     write_ply(folder / GAUSSIANS, training.gaussians)
     write_text(folder / CAMERAS, dump_cameras(dataclasses.replace(scene, cameras=training.cameras)))

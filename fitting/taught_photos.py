@@ -12,7 +12,7 @@ from sklearn.metrics import average_precision_score
 from ..engine.language.encoders.embedded import EmbeddedEncoder
 from ..engine.language.prompts.relevancy import answer
 from ..engine.language.teaching.learning import Background, Examples, learn
-from ..engine.language.teaching.lesson import evenly
+from ..engine.language.teaching.lesson import select_evenly
 from ..engine.language.teaching.region import MOST, SAMPLE
 from ..engine.language.vocabulary import CONCEPTS
 from .encoder.pictures import IGNORED, POSITIVE_SHARE, Picture, inside
@@ -37,7 +37,7 @@ def taught_scores(
     scores = {}
     for source in sorted({picture.source for picture in val}):
         own = [picture for picture in train if picture.source == source and picture.boxes]
-        shown = [own[place] for place in evenly(np.arange(len(own)), photos)]
+        shown = [own[place] for place in select_evenly(np.arange(len(own)), photos)]
         weights, bias, boxes = _taught(encoder, shown, np.random.default_rng(seed))
         fruit, taught, built_in = list[NDArray[np.bool_]](), list[FloatArray](), list[FloatArray]()
         for picture in (picture for picture in val if picture.source == source):
@@ -70,7 +70,7 @@ def _taught(
         for box in picture.boxes:
             pixels = evidence[inside(box, POSITIVE_SHARE, picture.labels.shape)]
             if len(pixels):
-                rows.append(pixels[evenly(np.arange(len(pixels)), MOST)])
+                rows.append(pixels[select_evenly(np.arange(len(pixels)), MOST)])
                 groups.append(np.full(len(rows[-1]), len(groups)))
         flat = evidence.reshape(-1, evidence.shape[-1])
         background.append(flat[rng.choice(len(flat), SAMPLE // len(photos), replace=False)])

@@ -130,7 +130,7 @@ def marks_of(arguments: Arguments, name: str, result: Result, ground: Ground) ->
                     f"Fruit {number} was found in the photos alone and has no Gaussians to learn from. Click on it in "
                     "a photo instead"
                 )
-            marks.append(Mark(positive, f"fruit {number}", ground.around(by_id[number].center)))
+            marks.append(Mark(positive, f"fruit {number}", ground.grow_region(by_id[number].center)))
     if arguments.boxes is not None:
         marks += marks_of_boxes(arguments.boxes, name, scene, gaussians, ground)
     if arguments.masks is not None:

@@ -25,7 +25,7 @@ from ...engine.evaluation.renders import DEPTH, INSTANCES, check_instances, read
 from ...engine.evaluation.true_surface import TrueSurface, true_surface
 from ...engine.evaluation.truth import TrueView, Truth
 from ...engine.language.encoders.encoder import sees_fruit
-from ...engine.language.encoders.seen import of_size
+from ...engine.language.encoders.seen import resize
 from ...engine.language.features.embedder import Embedder
 from ...engine.language.prompts.photo_probability import PhotoMap
 from ...engine.language.prompts.relevancy import MIN_WEIGHT
@@ -246,7 +246,7 @@ class LadderStages:
         for photo, ids, scales in zip(scene.images, self.instances, photo_scales(scene, encoder), strict=True):
             shown = as_seen(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
             offsets = encoder.encode_fruit(photo.pixels(), scales).offsets
-            probability = of_size(torch.from_numpy(shown).permute(2, 0, 1), *offsets.shape[:2])[0]
+            probability = resize(torch.from_numpy(shown).permute(2, 0, 1), *offsets.shape[:2])[0]
             maps.append(PhotoMap(np.ascontiguousarray(probability), offsets.numpy()))
         return maps
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from ..errors import ConfigError, FruitLangsError, SceneError, VocabularyError
 from ..language.encoders.open_encoder import folder_of_words
 from ..language.taught.library import Library
-from ..language.vocabulary import parse, taught_name
+from ..language.vocabulary import find_taught_name, parse
 from ..reconstruction import PHOTOS
 from ..report.results import FRUITS_JSON
 from ..result_folder import ResultFolder
@@ -162,7 +162,7 @@ def _files_of_words(tree: TreeEntry) -> list[Path]:
 
 def _word_of(phrase: str, library: Library) -> str:
     """The taught word that a prompt names; empty without one."""
-    if name := taught_name(phrase, library):
+    if name := find_taught_name(phrase, library):
         return name
     try:
         noun = parse(phrase, library).noun

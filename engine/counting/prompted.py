@@ -13,9 +13,9 @@ from ..errors import CountingError
 from ..language.encoders.encoder import Encoder, KindEncoder, names_kinds, sees_fruit
 from ..language.features.features import Features
 from ..language.features.photo_features import PhotoFeatures
-from ..language.prompts.colour_choice import ColourChoice, colour_split
+from ..language.prompts.colour_choice import ColourChoice, split_by_colour
 from ..language.prompts.likely_kinds import UNKNOWN_KIND, likely_kinds
-from ..language.prompts.photo_probability import PhotoMap, photo_probabilities, photos_for
+from ..language.prompts.photo_probability import PhotoMap, photo_probabilities, prepare_photos
 from ..language.prompts.selection import select
 from ..progress import Progress, part, silent
 from ..scene.camera import Scene
@@ -94,7 +94,7 @@ def _match(
     config, encoder = searched.config, searched.encoder
     if config.method != "voting" or config.select == "dual":
         return _Match(probability)
-    split = colour_split(encoder, prompts, negatives)
+    split = split_by_colour(encoder, prompts, negatives)
     wanted = (prompts, negatives) if split is None else (split.prompts, split.negatives)
     photos, notices = _photos_for(searched, wanted, progress)
     maps = None if photos is None else photo_probabilities(photos, searched.features, encoder, *wanted)
@@ -110,7 +110,7 @@ def _photos_for(
     """What the pixels of the photos say about the prompts and negatives, None if there are no photos, and notices."""
     if searched.photos is None or not sees_fruit(searched.encoder):
         return searched.photos, []
-    photos = photos_for(
+    photos = prepare_photos(
         searched.photos, searched.scene, searched.features, searched.encoder, *wanted, progress=progress
     )
     if photos is None:

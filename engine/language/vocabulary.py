@@ -69,7 +69,7 @@ def parse(prompt: str, taught: Collection[str] = ()) -> Phrase:
     Raises:
         VocabularyError: an unknown word (the message names the nearest known ones), no word, or more than one noun.
     """
-    read = _with_names(split(prompt), taught)
+    read = _merge_names(split(prompt), taught)
     if not read:
         raise VocabularyError(f"The prompt '{prompt}' has no word. Name a fruit, for example 'apple' or 'red apple'")
 
@@ -80,7 +80,7 @@ def parse(prompt: str, taught: Collection[str] = ()) -> Phrase:
         if not (thing(word) or _colour(word) or word in _RIPENESS):
             raise VocabularyError(_complaint(word, prompt, taught))
     things = [thing(word) for word in read]
-    place = _noun(things, [bool(_colour(word)) for word in read], prompt)
+    place = _find_noun(things, [bool(_colour(word)) for word in read], prompt)
     noun = (ANY_FRUIT if _RIPENESS.keys() & read else "") if place is None else things[place]
     named: list[str] = []
     ripeness: list[str] = []
@@ -99,14 +99,14 @@ def split(prompt: str) -> list[str]:
     return [word for word in re.split(r"[\s\-_,'’]+", fold(prompt.strip())) if word and word not in words.FILLERS]
 
 
-def taught_name(prompt: str, taught: Collection[str]) -> str:
-    """The taught name that is all that a prompt says, also in the plural; empty if there is none."""
-    read = _with_names(split(prompt), taught)
+def find_taught_name(prompt: str, taught: Collection[str]) -> str:
+    """Find the taught name that is all that a prompt says, also in the plural; empty if there is none."""
+    read = _merge_names(split(prompt), taught)
     return read[0] if len(read) == 1 and read[0] in taught else ""
 
 
-def known_words() -> tuple[str, ...]:
-    """Every word that a prompt may contain, in all listed forms, nouns first."""
+def list_words() -> tuple[str, ...]:
+    """List every word that a prompt may contain, in all listed forms, nouns first."""
     return tuple(dict.fromkeys([*sorted(_THINGS), *sorted(_COLOUR_NAMES), *sorted(_RIPENESS)]))
 
 
@@ -115,8 +115,8 @@ def describes(word: str) -> bool:
     return bool(_colour(word) or word in _RIPENESS) and not _thing(word)
 
 
-def _with_names(read: Sequence[str], taught: Collection[str]) -> list[str]:
-    """The words of a prompt, with those that together are a taught name as one; it may be in the plural."""
+def _merge_names(read: Sequence[str], taught: Collection[str]) -> list[str]:
+    """Return the words of a prompt, with those that together are a taught name as one; it may be in the plural."""
     names = sorted((name.split() for name in taught), key=len, reverse=True)
     joined, at = [], 0
     while at < len(read):
@@ -132,8 +132,8 @@ def _with_names(read: Sequence[str], taught: Collection[str]) -> list[str]:
     return joined
 
 
-def _noun(nouns: Sequence[str], colours: Sequence[bool], prompt: str) -> int | None:
-    """The place of the noun: the most specific; a word that may also be a colour only if there is no other. nouns:
+def _find_noun(nouns: Sequence[str], colours: Sequence[bool], prompt: str) -> int | None:
+    """Find the place of the noun: the most specific; a word that may also be a colour only if there is no other. nouns:
     what each word names; colours: whether it may be a colour.
 
     Raises:
@@ -173,7 +173,7 @@ def _narrows(mine: tuple[str, ...], theirs: tuple[str, ...]) -> bool:
 
 
 def _complaint(word: str, prompt: str, taught: Collection[str]) -> str:
-    nearest = difflib.get_close_matches(word, [*taught, *known_words()], n=3, cutoff=0.6)
+    nearest = difflib.get_close_matches(word, [*taught, *list_words()], n=3, cutoff=0.6)
     hint = f"nearest known: {', '.join(nearest)}; " if nearest else ""
     things = ", ".join([*CONCEPTS, *GENERAL, *taught])
     return (

@@ -123,7 +123,7 @@ def encoded(
     photos = encode_photos(scene, encoder, photo_scales(scene, encoder), recorder)
     features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
     probability = relevancy(features, encoder, [species])
-    return probability, photo_probabilities(recorder.kept(), features, encoder, [species])
+    return probability, photo_probabilities(recorder.collect(), features, encoder, [species])
 
 
 def surface_cases(renders: Path) -> Iterator[Case]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...engine.language.encoders.embedded import EmbeddedEncoder
-from ...engine.language.prompts.relevancy import answer, scene_answers, understood
+from ...engine.language.prompts.relevancy import answer, scene_answers, understand
 from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pictures import NOT_FRUIT, Labels, Picture, inside
 
@@ -98,7 +98,7 @@ def answers(encoder: EmbeddedEncoder, pixels: Sample, word: str) -> FloatArray:
 def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> FloatArray:
     """(M,) the probability of a word, with kinds of fruit weighted by their share of the scene as in use."""
     weights = torch.full((len(scene.features),), float(STEP * STEP))
-    return scene_answers(scene.features.float(), weights, understood(encoder, [word]))[0].double().numpy()
+    return scene_answers(scene.features.float(), weights, understand(encoder, [word]))[0].double().numpy()
 
 
 def by_scene(samples: Sequence[Sample]) -> list[Sample]:

@@ -129,7 +129,7 @@ def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
     lesson = Lesson(question.lesson.name, ground, features, encoder)
     places = [(positive, np.array(place)) for positive, place in question.lesson.places]
     marks = [
-        Mark(positive, f"example {number}", ground.around(place))
+        Mark(positive, f"example {number}", ground.grow_region(place))
         for number, (positive, place) in enumerate(places, start=1)
     ]
     return lesson.word(marks)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ...language.encoders.seen import of_size
+from ...language.encoders.seen import resize
 from ...language.prompts.photo_probability import PhotoMap
 from ...splatting.kernels.surface import NOTHING
 from ..evidence.visibility import Picture, spiral
@@ -61,7 +61,7 @@ class PhotoViews:
         sizes = [picture.depth.shape for picture in pictures]
         lengths = [picture.depth.size for picture in pictures]
         cameras = [picture.camera for picture in pictures]
-        shown = (of_size(torch.from_numpy(m.probability)[None], *size) for m, size in zip(maps, sizes, strict=True))
+        shown = (resize(torch.from_numpy(m.probability)[None], *size) for m, size in zip(maps, sizes, strict=True))
         return cls(
             np.concatenate([each.numpy().reshape(-1) for each in shown]),
             np.concatenate(

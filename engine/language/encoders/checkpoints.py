@@ -78,9 +78,9 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
         import transformers
     except ImportError as error:
         raise EncoderError(f"{kind.name} needs the package transformers ({error}). Run: {_INSTALL}") from error
-    folder = _folder(kind, name, allow_download)
-    used = _checked_files(kind, folder)
-    with _quiet(transformers), _explained(kind, folder):
+    folder = _find_folder(kind, name, allow_download)
+    used = _check_files(kind, folder)
+    with _silence(transformers), _explain_damage(kind, folder):
         model, report = transformers.AutoModel.from_pretrained(
             folder,
             local_files_only=True,
@@ -99,11 +99,11 @@ def open_checkpoint(kind: Kind, name: str, *, allow_download: bool) -> Checkpoin
             f" first {absent[0]}). Get both from the same place"
         )
     identity = f"{Path(name).name}-{files_hash(used, folder)[:16]}"
-    return Checkpoint(_placed(model.eval()), pictures, words, identity)
+    return Checkpoint(_move_to_device(model.eval()), pictures, words, identity)
 
 
-def _folder(kind: Kind, name: str, allow_download: bool) -> Path:
-    """The folder of a checkpoint: as given, in the checkpoints folder, or in the cache of the hub."""
+def _find_folder(kind: Kind, name: str, allow_download: bool) -> Path:
+    """Find the folder of a checkpoint: as given, in the checkpoints folder, or in the cache of the hub."""
     given = Path(name).expanduser()
     if name.strip() and given.is_dir():
         return given
@@ -147,7 +147,7 @@ def _download(kind: Kind, name: str, own: Path) -> None:
     arriving = own.with_name(f"{own.name}.part")
     try:
         huggingface_hub.snapshot_download(
-            name, revision=_safe_revision(name), local_dir=arriving, allow_patterns=list(_HUB_FILES)
+            name, revision=_find_safe_revision(name), local_dir=arriving, allow_patterns=list(_HUB_FILES)
         )
         os.replace(arriving, own)
     except Exception as error:  # of the hub, of its network library, or of the disk
@@ -157,8 +157,8 @@ def _download(kind: Kind, name: str, own: Path) -> None:
         ) from error
 
 
-def _safe_revision(name: str) -> str:
-    """The revision of a repository that has safetensors: the main one, or that of the converter."""
+def _find_safe_revision(name: str) -> str:
+    """Find the revision of a repository that has safetensors: the main one, or that of the converter."""
     import huggingface_hub
 
     hub = huggingface_hub.HfApi()
@@ -170,8 +170,8 @@ def _safe_revision(name: str) -> str:
     raise ValueError("it holds no safetensors, only a pickle, which is not opened")
 
 
-def _checked_files(kind: Kind, folder: Path) -> list[Path]:
-    """The files of a checkpoint, sorted, after its kind and its files were checked."""
+def _check_files(kind: Kind, folder: Path) -> list[Path]:
+    """Check the kind and the files of a checkpoint and return the files, sorted."""
     try:
         model_type = json.loads((folder / "config.json").read_text(encoding="utf-8"))["model_type"]
     except FileNotFoundError as error:
@@ -206,8 +206,8 @@ def _conversion(folder: Path) -> str:
     return f'python -c "{code}"'
 
 
-def _placed(model: Any) -> Any:
-    """On an NVIDIA or Apple card, in half precision, if PyTorch has one; else on the CPU."""
+def _move_to_device(model: Any) -> Any:
+    """Move a model to an NVIDIA or Apple card, in half precision, if PyTorch has one; else leave it on the CPU."""
     import torch
 
     if torch.cuda.is_available():
@@ -216,7 +216,7 @@ def _placed(model: Any) -> Any:
 
 
 @contextmanager
-def fitting(kind: Kind, name: str) -> Iterator[None]:
+def explain_misfit(kind: Kind, name: str) -> Iterator[None]:
     """Turn errors of a model's first use into an EncoderError: its files belong to different models."""
     try:
         yield
@@ -228,7 +228,7 @@ def fitting(kind: Kind, name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _explained(kind: Kind, folder: Path) -> Iterator[None]:
+def _explain_damage(kind: Kind, folder: Path) -> Iterator[None]:
     """Turn any error of transformers about a damaged checkpoint into an EncoderError of one line."""
     try:
         yield
@@ -245,7 +245,7 @@ def _explained(kind: Kind, folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _quiet(transformers: Any) -> Iterator[None]:
+def _silence(transformers: Any) -> Iterator[None]:
     """Silence the progress bars and warnings of transformers: relevant ones become errors of ours."""
     log = transformers.utils.logging
     verbosity, bars = log.get_verbosity(), log.is_progress_bar_enabled()

@@ -16,8 +16,8 @@ from torch.nn import functional
 from ...errors import EncoderError, VocabularyError
 from ..taught.library import Library
 from ..taught.word import TaughtWord
-from ..vocabulary import parse, taught_name
-from .checkpoints import CLIP, Checkpoint, fitting, open_checkpoint
+from ..vocabulary import find_taught_name, parse
+from .checkpoints import CLIP, Checkpoint, explain_misfit, open_checkpoint
 from .encoder import Question, TaughtQuestion
 
 TEMPLATE = "a photo of {article} {words}"
@@ -58,7 +58,7 @@ class ClipEncoder:
             EncoderError: it is missing, unsafe, damaged, or does not do what a checkpoint of its kind must.
         """
         checkpoint = open_checkpoint(CLIP, name, allow_download=allow_download)
-        with fitting(CLIP, name):
+        with explain_misfit(CLIP, name):
             dimension = cls(checkpoint, 0).encode_text(["object"]).shape[-1]
             pictures = cls(checkpoint, 0).encode_crops([np.zeros((8, 8, 3), np.uint8)]).shape[-1]
         if dimension != pictures:
@@ -109,9 +109,9 @@ class ClipEncoder:
 
     def questions(self, prompt: str) -> Sequence[Question | TaughtQuestion]:
         """One question: is it what was taught; for other words, is it this rather than any of the negatives."""
-        if name := taught_name(prompt, self.taught):
+        if name := find_taught_name(prompt, self.taught):
             return [TaughtQuestion(self.taught[name], [])]
-        text = _normalised(prompt)
+        text = _normalise(prompt)
         against = [word for word, plural in NEGATIVES.items() if text not in (word, plural)]
         positive, negatives = self.encode_text([prompt]), self.encode_text(against)
         return [Question(positive, negatives, "cosine", TEMPERATURE, 0.0)]
@@ -121,7 +121,7 @@ class ClipEncoder:
         return torch.zeros(0, self.dimension)
 
     def meaning(self, prompt: str) -> str:
-        return taught_name(prompt, self.taught) or _normalised(prompt)
+        return find_taught_name(prompt, self.taught) or _normalise(prompt)
 
     def with_words(self, taught: Mapping[str, TaughtWord]) -> ClipEncoder:
         return replace(self, taught=taught)
@@ -140,8 +140,8 @@ class ClipEncoder:
         return self.meaning(prompt) == self.meaning(negative)
 
 
-def _normalised(prompt: str) -> str:
-    """Lower case, single spaces, no article.
+def _normalise(prompt: str) -> str:
+    """Normalise a prompt: lower case, single spaces, no article.
 
     Raises:
         VocabularyError: nothing is left.
@@ -155,7 +155,7 @@ def _normalised(prompt: str) -> str:
 
 
 def _sentence(prompt: str) -> str:
-    words = _normalised(prompt)
+    words = _normalise(prompt)
     return TEMPLATE.format(article="an" if words[0] in "aeiou" else "a", words=words)
 
 

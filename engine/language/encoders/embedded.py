@@ -28,8 +28,8 @@ from ..taught.word import TaughtWord
 from ..vocabulary import ANY_FRUIT, COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, SURROUNDINGS, Phrase, parse
 from .encoder import ColourSplit, FruitView, Question, TaughtQuestion
 from .network import Network
-from .offsets import OffsetNetwork, offsets_identity, stored_offsets
-from .seen import Scales, Seen, Skimmed, map_size, of_size, scales_of, see
+from .offsets import OffsetNetwork, load_offsets, offsets_identity
+from .seen import Scales, Seen, Skimmed, map_size, resize, scales_of, see
 
 WEIGHTS = Path(__file__).resolve().parent / "weights" / "embedded.safetensors"
 FORMAT = "fruitlangs-embedded-2"
@@ -115,9 +115,9 @@ class EmbeddedEncoder:
         in CIELAB, in units of LAB_UNIT: of what was tried, the least numbers from which taught words are learnt best.
         """
         pixels = _pixels(image)
-        logits, details, offsets = self._seen(pixels, scales, stored_offsets(self.identity))
+        logits, details, offsets = self._average_scales(pixels, scales, load_offsets(self.identity))
         assert offsets is not None
-        lab = cielab(_blurred(pixels, logits).permute(1, 2, 0)) / LAB_UNIT
+        lab = cielab(_blur(pixels, logits).permute(1, 2, 0)) / LAB_UNIT
         embedding = torch.cat([details.permute(1, 2, 0), lab], dim=-1)
         return FruitView(_features(logits, pixels), offsets.permute(1, 2, 0), embedding)
 
@@ -127,13 +127,13 @@ class EmbeddedEncoder:
     @torch.inference_mode()
     def concept_logits(self, pixels: Tensor, scales: Sequence[float] = ()) -> Tensor:
         """(3, H, W) in [0, 1] → (K, H', W'), see `map_size`: the logits of the network, averaged over the scales."""
-        return self._seen(pixels, scales, None)[0]
+        return self._average_scales(pixels, scales, None)[0]
 
-    def _seen(
+    def _average_scales(
         self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """(K, H', W') logits and (C, H', W') the last features before them, averaged over the scales; if there is a
-        network for them, (2, H', W') offsets of the scales, by their errors.
+        """Return (K, H', W') logits and (C, H', W') the last features before them, averaged over the scales; if there
+        is a network for them, (2, H', W') offsets of the scales, by their errors.
 
         The logits are linear in these features, so interpolating the features is enough.
         """
@@ -142,26 +142,26 @@ class EmbeddedEncoder:
         size = map_size(height, width, used)
         offsets, certainty = torch.zeros(2, *size), torch.full(size, 1e-6)
         details = torch.zeros(self.network.head.in_channels, *size)
-        for seen in self._at_scales(pixels, used, network):
-            details += of_size(seen.details, *size) / len(used)
+        for seen in self._process_scales(pixels, used, network):
+            details += resize(seen.details, *size) / len(used)
             if seen.offsets is not None:
-                *off, error = of_size(seen.offsets, *size)
+                *off, error = resize(seen.offsets, *size)
                 weight = torch.exp(-2.0 * error)
                 offsets += torch.stack(off) * weight
                 certainty += weight
         logits = self.network.head(details[None])[0]
         return logits, details, None if network is None else offsets / certainty
 
-    def _at_scales(self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None) -> Iterator[Seen]:
-        """The outputs at each scale. A large image is processed at half its size first, and then only around what may
-        be fruit there."""
+    def _process_scales(self, pixels: Tensor, scales: Sequence[float], network: OffsetNetwork | None) -> Iterator[Seen]:
+        """Compute the outputs at each scale. A large image is processed at half its size first, and then only around
+        what may be fruit there."""
         for scale in scales:
             large = pixels[0].numel() * scale**2 > SKIMMED
-            skimmed = self._skimmed(pixels, scale / 2.0, network) if large else None
+            skimmed = self._skim(pixels, scale / 2.0, network) if large else None
             yield see(self.network, pixels, scale, network, skimmed)
 
-    def _skimmed(self, pixels: Tensor, scale: float, network: OffsetNetwork | None) -> Skimmed:
-        """The outputs at a scale, with the pixels that may be fruit."""
+    def _skim(self, pixels: Tensor, scale: float, network: OffsetNetwork | None) -> Skimmed:
+        """Compute the outputs at a scale, with the pixels that may be fruit."""
         seen = see(self.network, pixels, scale, network)
         shares = self.network.head(seen.details[None])[0].softmax(0)
         return Skimmed(seen, shares[[CONCEPTS.index(word) for word in FRUITS]].sum(0) >= MAY_BE_FRUIT)
@@ -356,12 +356,12 @@ def _pixels(image: NDArray[np.uint8]) -> Tensor:
 
 def _features(logits: Tensor, pixels: Tensor) -> Tensor:
     """(H', W', D) from the logits (K, H', W') of the concepts and the pixels (3, H, W) of the photo."""
-    colours = colour_words(_blurred(pixels, logits).permute(1, 2, 0))
+    colours = colour_words(_blur(pixels, logits).permute(1, 2, 0))
     return torch.cat([logits.softmax(0).permute(1, 2, 0), colours], dim=-1).mul_(0.5).sqrt_()
 
 
-def _blurred(pixels: Tensor, logits: Tensor) -> Tensor:
-    """(3, H, W) → (3, H', W') of the logits' size, averaged over neighbours."""
+def _blur(pixels: Tensor, logits: Tensor) -> Tensor:
+    """Average (3, H, W) over neighbours → (3, H', W') of the logits' size."""
     kernel = 2 * COLOUR_BLUR + 1
-    padded = functional.pad(of_size(pixels, *logits.shape[-2:])[None], [COLOUR_BLUR] * 4, mode="replicate")
+    padded = functional.pad(resize(pixels, *logits.shape[-2:])[None], [COLOUR_BLUR] * 4, mode="replicate")
     return functional.avg_pool2d(padded, kernel, stride=1)[0]

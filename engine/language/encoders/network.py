@@ -60,7 +60,7 @@ class Network(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         """(B, 3, H, W) normalised colours → (B, concepts, H/2, W/2) logits; H and W are multiples of STRIDE."""
-        return self.named(self.levels(image))
+        return self.compute_logits(self.levels(image))
 
     def levels(self, image: Tensor) -> list[Tensor]:
         """The features of each stride, from 2 to STRIDE."""
@@ -70,13 +70,13 @@ class Network(nn.Module):
             levels.append(image)
         return levels
 
-    def named(self, levels: list[Tensor]) -> Tensor:
-        """The logits from the features of each stride."""
-        logits: Tensor = self.head(self.detailed(levels))
+    def compute_logits(self, levels: list[Tensor]) -> Tensor:
+        """Compute the logits from the features of each stride."""
+        logits: Tensor = self.head(self.compute_details(levels))
         return logits
 
-    def detailed(self, levels: list[Tensor]) -> Tensor:
-        """(B, widths[0], H/2, W/2): the last features before the logits, with context and detail."""
+    def compute_details(self, levels: list[Tensor]) -> Tensor:
+        """Compute (B, widths[0], H/2, W/2): the last features before the logits, with context and detail."""
         image = levels[-1]
         for lateral, up, level in zip(self.lateral, self.up, levels[-2::-1], strict=True):
             coarse = functional.interpolate(lateral(image), scale_factor=2.0, mode="bilinear", align_corners=False)

@@ -56,8 +56,8 @@ class OffsetNetwork(nn.Module):
 
 
 @cache
-def stored_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
-    """The network that comes with the package, fused. encoder: identity of the encoder whose features it gets.
+def load_offsets(encoder: str, path: Path = STORED) -> OffsetNetwork:
+    """Load the network that comes with the package, fused. encoder: identity of the encoder whose features it gets.
 
     Raises:
         EncoderError: the weights are missing, damaged, or made for another encoder.

@@ -109,25 +109,25 @@ def see(
     """
     size = _outputs(pixels.shape[-2], pixels.shape[-1], scale)
     height, width = 2 * size[0], 2 * size[1]
-    image, inside = of_size(pixels, height, width), (slice(0, height), slice(0, width))
+    image, inside = resize(pixels, height, width), (slice(0, height), slice(0, width))
     details, off = torch.empty(network.head.in_channels, *size), torch.empty(3, *size)
     if skimmed is not None:
         inside = _rectangle(skimmed.fruit, height, width)
-        details = of_size(skimmed.seen.details, *size)
-        off = off if skimmed.seen.offsets is None else of_size(skimmed.seen.offsets, *size)
+        details = resize(skimmed.seen.details, *size)
+        off = off if skimmed.seen.offsets is None else resize(skimmed.seen.offsets, *size)
     for rows, columns in tiles_of(*inside, TILE):
-        wide_rows, wide_columns = _with_margin(rows, height), _with_margin(columns, width)
+        wide_rows, wide_columns = _add_margin(rows, height), _add_margin(columns, width)
         levels = levels_of(network, image[:, wide_rows, wide_columns])
-        target = slice(None), _halved(rows), _halved(columns)
-        own = slice(None), _halved(rows, wide_rows.start), _halved(columns, wide_columns.start)
-        details[target] = network.detailed(levels)[0][own]
+        target = slice(None), _halve(rows), _halve(columns)
+        own = slice(None), _halve(rows, wide_rows.start), _halve(columns, wide_columns.start)
+        details[target] = network.compute_details(levels)[0][own]
         if offsets is not None:
             off[target] = offsets(levels)[0][own]
     return Seen(details, None if offsets is None else off)
 
 
-def of_size(values: Tensor, height: int, width: int) -> Tensor:
-    """(C, h, w) → (C, height, width), averaged when it shrinks."""
+def resize(values: Tensor, height: int, width: int) -> Tensor:
+    """Resize (C, h, w) → (C, height, width), averaged when it shrinks."""
     if values.shape[-2:] == (height, width):
         return values
     image = functional.interpolate(values[None], (height, width), mode="bilinear", antialias=True, align_corners=False)
@@ -139,21 +139,21 @@ def _rectangle(fruit: Tensor, height: int, width: int) -> tuple[slice, slice]:
     outwards to multiples of STRIDE; empty if nothing may be fruit."""
     if not bool(fruit.any()):
         return slice(0, 0), slice(0, 0)
-    return _around(fruit.any(1), height), _around(fruit.any(0), width)
+    return _slice_around(fruit.any(1), height), _slice_around(fruit.any(0), width)
 
 
-def _around(shown: Tensor, length: int) -> slice:
-    """Of `length` pixels, those from the first to the last of `shown` (n,), see `_rectangle`."""
+def _slice_around(shown: Tensor, length: int) -> slice:
+    """Slice, of `length` pixels, those from the first to the last of `shown` (n,), see `_rectangle`."""
     places, ratio = shown.nonzero()[:, 0].tolist(), length / len(shown)
     low, high = int(places[0] * ratio) - NEAR, math.ceil((places[-1] + 1) * ratio) + NEAR
     return slice(max(low // STRIDE * STRIDE, 0), min(-(-high // STRIDE) * STRIDE, length))
 
 
-def _with_margin(inner: slice, length: int) -> slice:
-    """The rows or columns of a tile with its margin, in an image of `length` rows or columns."""
+def _add_margin(inner: slice, length: int) -> slice:
+    """Return the rows or columns of a tile with its margin, in an image of `length` rows or columns."""
     return slice(max(inner.start - MARGIN, 0), min(inner.stop + MARGIN, length))
 
 
-def _halved(pixels: slice, start: int = 0) -> slice:
-    """The outputs for a range of pixels, counted from that of pixel `start`; all numbers are even."""
+def _halve(pixels: slice, start: int = 0) -> slice:
+    """Return the outputs for a range of pixels, counted from that of pixel `start`; all numbers are even."""
     return slice((pixels.start - start) // 2, (pixels.stop - start) // 2)

@@ -71,7 +71,7 @@ def train_autoencoder(vectors: Tensor, config: EmbedConfig, *, progress: Progres
             optimiser.zero_grad()
             reconstruction_loss(decode(encode(given)), given).backward()
             optimiser.step()
-    encode, decode = _fixed(encode), _fixed(decode)
+    encode, decode = _detach(encode), _detach(decode)
     back = decode(encode(vectors))
     progress(1.0, "codes learnt")
     return Autoencoder(
@@ -115,5 +115,5 @@ def _layers(widths: Sequence[int], generator: torch.Generator) -> Perceptron:
     return Perceptron(tuple(weights), tuple(biases))
 
 
-def _fixed(half: Perceptron) -> Perceptron:
+def _detach(half: Perceptron) -> Perceptron:
     return Perceptron(tuple(each.detach() for each in half.weights), tuple(each.detach() for each in half.biases))

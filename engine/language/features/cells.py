@@ -24,7 +24,7 @@ from ...splatting.rendering.label_weights import LabelWeights, label_weights
 from ...splatting.rendering.workspace import Workspace
 from ..masks.segments import SegmentedView
 from .mixing_kernels import append_view
-from .pairing import paired
+from .pairing import pair_views
 
 LEAST_LENGTH = 1e-6
 """A mask whose vector is shorter than this has no feature."""
@@ -52,8 +52,8 @@ class CellWeights:
     def levels(self) -> int:
         return len(self.row_of)
 
-    def padded_vectors(self, length: int) -> NDArray[np.float32]:
-        """(M · length,) the vectors row by row, padded with zeros, as kernels read them."""
+    def pad_vectors(self, length: int) -> NDArray[np.float32]:
+        """Return (M · length,) the vectors row by row, padded with zeros, as kernels read them."""
         behind = length - self.vectors.shape[1]
         vectors = functional.pad(self.vectors, (0, behind)) if behind else self.vectors
         return vectors.contiguous().numpy().reshape(-1)
@@ -74,7 +74,7 @@ def cell_weights(
     vectors: list[Tensor] = []
     rows = 0
     workspace = Workspace()
-    for index, (camera, view) in enumerate(with_masks(cameras, views)):
+    for index, (camera, view) in enumerate(pair_masks(cameras, views)):
         progress(index / len(cameras), f"Lifting masks of view {index + 1} of {len(cameras)}")
         if index and (len(view.labels), view.vectors.shape[1]) != (len(row_of[0]), vectors[0].shape[1]):
             raise SceneError(
@@ -89,7 +89,7 @@ def cell_weights(
         rows += len(view.vectors)
     if rows == 0:
         raise SceneError("No photo has a mask with a feature. Use other masks, or the embedded encoder")
-    joined = _all_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
+    joined = _join_views(drawn, [len(numbers) for numbers in view_of], len(gaussians))
     return CellWeights(
         joined.starts,
         joined.labels,
@@ -101,19 +101,19 @@ def cell_weights(
     )
 
 
-def with_masks(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Iterator[tuple[Camera, SegmentedView]]:
-    """Each camera with its masks that have a feature (see `usable`).
+def pair_masks(cameras: Sequence[Camera], views: Iterable[SegmentedView]) -> Iterator[tuple[Camera, SegmentedView]]:
+    """Yield each camera with its masks that have a feature (see `usable`).
 
     Raises:
         SceneError: views and cameras do not fit, or a label has no vector.
         EncoderError: a vector is not finite.
     """
-    for index, camera, view in paired(cameras, views, lambda view: view.labels.shape[1:], "masks"):
-        yield camera, usable(view, index)
+    for index, camera, view in pair_views(cameras, views, lambda view: view.labels.shape[1:], "masks"):
+        yield camera, keep_usable(view, index)
 
 
-def usable(view: SegmentedView, index: int) -> SegmentedView:
-    """The view with unit vectors and without masks that have no feature (a vector of length 0).
+def keep_usable(view: SegmentedView, index: int) -> SegmentedView:
+    """Return the view with unit vectors and without masks that have no feature (a vector of length 0).
 
     Raises:
         SceneError: a label has no vector.
@@ -153,7 +153,7 @@ def cells_of(labels: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.i
     return numbers[keys], np.ascontiguousarray(table[:, ~outside])
 
 
-def _all_views(drawn: list[LabelWeights], cells: Sequence[int], n: int) -> LabelWeights:
+def _join_views(drawn: list[LabelWeights], cells: Sequence[int], n: int) -> LabelWeights:
     """Join the tables of the views; each is freed on the way, to save memory."""
     starts = np.zeros(n + 1, np.int64)
     for view in drawn:

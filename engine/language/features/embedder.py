@@ -14,7 +14,7 @@ from ...scene.camera import Scene
 from ...splatting.gaussians import Gaussians
 from ..encoders.encoder import CropEncoder, DenseEncoder, sees_crops, sees_fruit, sees_whole
 from ..encoders.open_encoder import open_encoder
-from ..masks.photo_segments import segmented_views
+from ..masks.photo_segments import segment_views
 from ..masks.segmenter import Segmenter, open_segmenter
 from ..masks.segments import SegmentedView
 from .features import Features
@@ -131,5 +131,5 @@ class Views:
         segmenter, encoder = self._embedder.segmenter, self._embedder.encoder
         assert segmenter is not None
         assert sees_crops(encoder)
-        yield from segmented_views(self._scene, segmenter, encoder, self._cache, self._progress)
+        yield from segment_views(self._scene, segmenter, encoder, self._cache, self._progress)
         self._progress = silent  # later readers find the views in the cache

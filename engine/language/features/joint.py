@@ -23,7 +23,7 @@ from ...splatting.gaussians import Gaussians
 from ...splatting.training.extra_channels import ExtraChannels
 from ..masks.segments import SegmentedView
 from .autoencoder import CODE, Autoencoder, train_autoencoders
-from .cells import cell_weights, cells_of, with_masks
+from .cells import cell_weights, cells_of, pair_masks
 from .features import Features
 from .lift_segments import judge_features
 from .semantic_kernels import semantic_loss
@@ -62,7 +62,7 @@ class Semantics:
         """weight · L_sem of a rendered view (L · 3, H, W), eq. 8: the sum over levels of the mean over pixels with a
         mask; its gradient is written. A smaller view is compared with every n-th pixel."""
         coded = self.views[view]
-        cells = sampled(coded.cells, drawn.shape[1], drawn.shape[2])
+        cells = sample_nearest(coded.cells, drawn.shape[1], drawn.shape[2])
         pixels = max(int((cells < len(coded.codes) - 1).sum()), 1)
         l1_sums, cosine_sums = np.empty(len(cells)), np.empty(len(cells))
         semantic_loss(
@@ -82,7 +82,7 @@ class Semantics:
         )
 
     def features(self, channels: Tensor) -> Features:
-        """Trained channels (N, L · 3) as features; weights and agreement are 0 until `judged` measures them."""
+        """Trained channels (N, L · 3) as features; weights and agreement are 0 until `judge_channels` measures them."""
         codes = channels.reshape(len(channels), self.levels, CODE)
         none = torch.zeros(len(channels), self.levels)
         decoders = tuple(each.decode for each in self.autoencoders)
@@ -109,9 +109,9 @@ def prepare_joint(
     """
     shapes: set[tuple[int, int]] = set()
     used: list[list[Tensor]] = []
-    for _, view in with_masks(cameras, views):
+    for _, view in pair_masks(cameras, views):
         shapes.add((len(view.labels), view.vectors.shape[1]))
-        used.append([view.vectors[_used(labels)] for labels in view.labels])
+        used.append([view.vectors[_find_used(labels)] for labels in view.labels])
     if len(shapes) > 1:
         raise SceneError(f"The photos' masks differ in levels or features ({shapes}). Segment all the same way")
     of_level = [torch.cat(vectors) for vectors in zip(*used, strict=True)]
@@ -120,8 +120,8 @@ def prepare_joint(
     levels = len(of_level)
     autoencoders = train_autoencoders(of_level, config, progress=progress)
     coded = []
-    for index, (_, view) in enumerate(with_masks(cameras, views)):
-        targets = _coded(view, autoencoders)
+    for index, (_, view) in enumerate(pair_masks(cameras, views)):
+        targets = _encode(view, autoencoders)
         if spool_in is not None:
             targets = replace(targets, cells=spool(targets.cells, spool_in / f"{index:06d}.cells.npy"))
         coded.append(targets)
@@ -132,7 +132,7 @@ def prepare_joint(
     return Semantics(coded, levels, autoencoders, encoder_id, digest.hexdigest())
 
 
-def judged(
+def judge_channels(
     semantics: Semantics,
     channels: Tensor,
     gaussians: Gaussians,
@@ -141,7 +141,7 @@ def judged(
     *,
     progress: Progress = silent,
 ) -> Features:
-    """Trained channels (N, L · 3) as features, with the pixels of each Gaussian and the agreement of the photos.
+    """Return trained channels (N, L · 3) as features, with the pixels of each Gaussian and the agreement of the photos.
 
     Raises:
         SceneError: views and cameras do not fit.
@@ -152,19 +152,19 @@ def judged(
     return replace(features, vectors=features.vectors * seen)
 
 
-def sampled(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
-    """(H, W) → (height, width) by the pixel under each centre."""
+def sample_nearest(cells: NDArray[Any], height: int, width: int) -> NDArray[Any]:
+    """Sample (H, W) → (height, width) by the pixel under each centre."""
     rows = ((np.arange(height) + 0.5) * cells.shape[0] / height).astype(np.int64)
     columns = ((np.arange(width) + 0.5) * cells.shape[1] / width).astype(np.int64)
     return cells[rows[:, None], columns]
 
 
-def _used(labels: NDArray[np.int32]) -> Tensor:
+def _find_used(labels: NDArray[np.int32]) -> Tensor:
     found = np.unique(labels)
     return torch.from_numpy(found[found >= 0].astype(np.int64))
 
 
-def _coded(view: SegmentedView, autoencoders: tuple[Autoencoder, ...]) -> CodedView:
+def _encode(view: SegmentedView, autoencoders: tuple[Autoencoder, ...]) -> CodedView:
     cells, table = cells_of(view.labels)
     codes = torch.zeros(table.shape[1] + 1, len(view.labels), CODE)
     for level, rows in enumerate(torch.from_numpy(table.astype(np.int64))):

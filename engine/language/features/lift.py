@@ -17,7 +17,7 @@ from ...splatting.gaussians import Gaussians
 from ...splatting.rendering.rasterize import accumulate
 from ..encoders.encoder import DenseEncoder, FruitEncoder, sees_fruit
 from .features import Features
-from .pairing import paired
+from .pairing import pair_views
 from .photo_features import PhotoFeatures, PhotoFeaturesRecorder, Wanted
 
 MOST_VALUES = 40_000_000
@@ -46,17 +46,17 @@ def lift_features(
     """
     sums: Tensor | None = None
     weights, said = torch.zeros(len(gaussians)), torch.zeros(len(gaussians))
-    views = paired(cameras, targets, lambda target: target.shape[:2], "features", smaller=True)
+    views = pair_views(cameras, targets, lambda target: target.shape[:2], "features", smaller=True)
     for index, camera, target in views:
         progress(index / len(cameras), f"Lifting features of view {index + 1} of {len(cameras)}")
         length = target.shape[-1] - embedded
-        drawn = _drawn(gaussians, camera, target, length)
+        drawn = _gather(gaussians, camera, target, length)
         del target  # before the next photo is encoded
         drawn *= cameras[index].width * cameras[index].height / (camera.width * camera.height)
         sums = drawn[:, :-1] if sums is None else sums.add_(drawn[:, :-1])
         weights += drawn[:, -1]
         said += drawn[:, :length].norm(dim=-1)
-    assert sums is not None  # `paired` refuses a scene without cameras
+    assert sums is not None  # `pair_views` refuses a scene without cameras
     progress(1.0, "features lifted")
     # Σ |c|·cos(c, Σ c) = |Σ c|, so one pass measures how far the contributions c of the views agree.
     totals = sums[:, :length]
@@ -66,8 +66,8 @@ def lift_features(
     return Features(vectors[:, None], weights[:, None], agreement[:, None], encoder_id, embedding=means)
 
 
-def _drawn(gaussians: Gaussians, camera: Camera, target: Tensor, length: int) -> Tensor:
-    """(N, C + 1) what each Gaussian gathers of a target (H, W, C), and of 1 where a pixel counts: not where its
+def _gather(gaussians: Gaussians, camera: Camera, target: Tensor, length: int) -> Tensor:
+    """Return (N, C + 1) what each Gaussian gathers of a target (H, W, C), and of 1 where a pixel counts: not where its
     feature, the first `length` channels, is zero. Some channels at a time, so that large photos need little memory."""
     usable = target[..., :length].any(-1)
     whole, channels = bool(usable.all()), target.shape[-1] + 1
@@ -102,13 +102,13 @@ def encode_photos(
     """
     for photo, own in zip(scene.images, scales, strict=True):
         release_freed()
-        yield _encoded(photo, encoder, own, recorder, embedded)
+        yield _encode(photo, encoder, own, recorder, embedded)
 
 
-def _encoded(
+def _encode(
     photo: Photo, encoder: DenseEncoder, scales: Sequence[float], recorder: PhotoFeaturesRecorder | None, embedded: bool
 ) -> Tensor:
-    """The target of one photo, see `encode_photos`."""
+    """Compute the target of one photo, see `encode_photos`."""
     pixels, view = photo.pixels(), None
     if (recorder is not None or embedded) and sees_fruit(encoder):
         view = encoder.encode_fruit(pixels, scales)
@@ -140,4 +140,4 @@ def record_photos(
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity, wanted)
     for number, _ in enumerate(encode_photos(scene, encoder, scales, recorder)):
         progress((number + 1) / len(scene.images), f"Encoding photo {number + 1} of {len(scene.images)}")
-    return recorder.kept()
+    return recorder.collect()

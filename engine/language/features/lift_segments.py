@@ -86,7 +86,7 @@ class _Mixed:
         weights, agreement = np.empty(n, np.float32), np.empty(n, np.float32)
         mix(
             threads(), rows.start, table.starts, table.cells, table.weights, table.view_of,
-            np.ascontiguousarray(table.row_of[level]), table.padded_vectors(padded), padded, table.most, rounds,
+            np.ascontiguousarray(table.row_of[level]), table.pad_vectors(padded), padded, table.most, rounds,
             given is not None, out, weights, agreement,
         )  # fmt: skip
         self.vectors = torch.from_numpy(out)[:, :length]

@@ -12,7 +12,7 @@ from ...scene.photos.photo import same_shape
 Given = TypeVar("Given")
 
 
-def paired(
+def pair_views(
     cameras: Sequence[Camera],
     views: Iterable[Given],
     size_of: Callable[[Given], Sequence[int]],
@@ -20,8 +20,8 @@ def paired(
     *,
     smaller: bool = False,
 ) -> Iterator[tuple[int, Camera, Given]]:
-    """The number of each view, its camera and its `what`, for example "masks", of which none is kept here; size_of: its
-    height and width in pixels.
+    """Yield the number of each view, its camera and its `what`, for example "masks", of which none is kept here;
+    size_of: its height and width in pixels.
 
     smaller: views may be evenly scaled down; then the camera is scaled to them.
 

@@ -72,8 +72,9 @@ class PhotoFeatures:
             unit = functional.normalize(values.float(), dim=-1)
             yield shape, places.long(), unit, offsets.float() / OFFSET_STEPS, embedded.float()
 
-    def coloured(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
-        """Of each photo its height and width, the places (k,) of its kept pixels and their sRGB (k, 3) in [0, 1]."""
+    def iterate_colours(self) -> Iterator[tuple[tuple[int, int], Tensor, Tensor]]:
+        """Yield of each photo its height and width, the places (k,) of its kept pixels and their sRGB (k, 3) in [0,
+        1]."""
         for shape, places, colours in self._parts(self.colours):
             yield shape, places.long(), colours.float() / STEPS
 
@@ -103,8 +104,8 @@ class PhotoFeaturesRecorder:
         self._colours: list[Tensor] = []
         self._scales: list[Tensor] = []
 
-    def kept(self) -> PhotoFeatures:
-        """What was kept of all photos that were passed on."""
+    def collect(self) -> PhotoFeatures:
+        """Collect what was kept of all photos that were passed on."""
         width = self._kinds.shape[1]
         return PhotoFeatures(
             torch.tensor(self._shapes, dtype=torch.int64).reshape(-1, 2),

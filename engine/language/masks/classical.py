@@ -12,7 +12,7 @@ from skimage.segmentation import felzenszwalb
 
 from ...progress import Progress, silent
 from .regions import RegionGraph
-from .segments import Segments, numbered
+from .segments import Segments, number_masks
 
 SEEN_SIDE = 640
 """Longest side, in pixels, of the copy that is segmented; larger photos are scaled down to it."""
@@ -32,7 +32,7 @@ class ClassicalSegmenter:
         """See `Segmenter`."""
         progress(0.0, "merging superpixels")
         height, width = image.shape[:2]
-        colours = rgb2lab(_seen(image))
+        colours = rgb2lab(_shrink(image))
         superpixels = felzenszwalb(
             colours / 100.0,
             scale=SUPERPIXEL_SCALE,
@@ -45,12 +45,12 @@ class ClassicalSegmenter:
             for side, seen in zip((height, width), superpixels.shape, strict=True)
         )
         levels = [graph.merge_until(count).astype(np.int32)[superpixels] for count in LEVEL_COUNTS]
-        segments = numbered(np.stack(levels))
+        segments = number_masks(np.stack(levels))
         return Segments(segments.labels.take(rows, axis=1).take(columns, axis=2), segments.count)
 
 
-def _seen(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The photo, its longer side at most SEEN_SIDE."""
+def _shrink(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Shrink the photo so that its longer side is at most SEEN_SIDE."""
     height, width = image.shape[:2]
     shrink = SEEN_SIDE / max(height, width)
     if shrink >= 1.0:

@@ -15,8 +15,8 @@ LARGEST_SIDE = 448
 """Larger crops are scaled down to this many pixels per side: twice CLIP's input, so that nothing is lost."""
 
 
-def masked_crops(image: NDArray[np.uint8], segments: Segments) -> Iterator[NDArray[np.uint8]]:
-    """One square picture (S, S, 3) per mask, in the order of their numbers: its content, centred on black.
+def crop_masks(image: NDArray[np.uint8], segments: Segments) -> Iterator[NDArray[np.uint8]]:
+    """Yield one square picture (S, S, 3) per mask, in the order of their numbers: its content, centred on black.
 
     They are made one at a time, because a photo has hundreds. image: (H, W, 3) sRGB.
     """
@@ -27,10 +27,10 @@ def masked_crops(image: NDArray[np.uint8], segments: Segments) -> Iterator[NDArr
                 boxes[number] = (level, box)
     for number, (level, box) in enumerate(boxes):
         inside = segments.labels[level][box] == number
-        yield _squared(np.where(inside[..., None], image[box], np.uint8(0)))
+        yield _pad_to_square(np.where(inside[..., None], image[box], np.uint8(0)))
 
 
-def _squared(crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _pad_to_square(crop: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Put a crop in the centre of a black square of at most LARGEST_SIDE, scaled down if necessary."""
     height, width = crop.shape[:2]
     side = max(height, width)

@@ -21,9 +21,9 @@ from ...scene.camera import Scene
 from ...storage.files import read_tensors, write_tensors
 from ...storage.keys import stage_key
 from ..encoders.encoder import CropEncoder
-from .crops import masked_crops
+from .crops import crop_masks
 from .segmenter import Segmenter
-from .segments import SegmentedView, numbered
+from .segments import SegmentedView, number_masks
 
 FORMAT = "fruitlangs-segments-1"
 FINDING = 0.5
@@ -32,10 +32,10 @@ BATCH = 32
 """Crops in memory at once; progress is reported, and a cancel noticed, between two batches."""
 
 
-def segmented_views(
+def segment_views(
     scene: Scene, segmenter: Segmenter, encoder: CropEncoder, cache: Path, progress: Progress = silent
 ) -> Iterator[SegmentedView]:
-    """The masks of each view with their features, one view at a time, in the scene's order.
+    """Yield the masks of each view with their features, one view at a time, in the scene's order.
 
     Pixels that a photo's mask excludes are -1. A view without masks is all -1 with vectors (0, D). Views are cached
     below `cache` under the content of their photo and the identities of segmenter and encoder, in half precision, as
@@ -65,24 +65,24 @@ def segmented_views(
             def report(share: float, doing: str, mine: Progress = mine, place: str = place) -> None:
                 mine(share, f"{place}: {doing}")
 
-            view = _segmented(image, usable, segmenter, encoder, report)
+            view = _segment(image, usable, segmenter, encoder, report)
             _write(path, view)
         yield view
     progress(1.0, "masks of all views are available")
 
 
-def _segmented(
+def _segment(
     image: NDArray[np.uint8],
     usable: NDArray[np.bool_] | None,
     segmenter: Segmenter,
     encoder: CropEncoder,
     progress: Progress,
 ) -> SegmentedView:
-    """The same as `_read` after `_write`: vectors rounded to half precision."""
+    """Return the same as `_read` after `_write`: vectors rounded to half precision."""
     segments = segmenter.segment(image, progress=part(progress, 0.0, FINDING))
     if usable is not None:
-        segments = numbered(np.where(usable, segments.labels, np.int32(-1)))
-    crops, vectors = masked_crops(image, segments), [torch.zeros(0, encoder.dimension)]
+        segments = number_masks(np.where(usable, segments.labels, np.int32(-1)))
+    crops, vectors = crop_masks(image, segments), [torch.zeros(0, encoder.dimension)]
     while batch := list(islice(crops, BATCH)):
         seen = sum(map(len, vectors))
         progress(FINDING + (1.0 - FINDING) * seen / segments.count, f"Encoding mask {seen + 1} of {segments.count}")

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...progress import Progress, silent
-from ..encoders.checkpoints import SAM, Checkpoint, fitting, open_checkpoint
-from .segments import Segments, numbered
+from ..encoders.checkpoints import SAM, Checkpoint, explain_misfit, open_checkpoint
+from .segments import Segments, number_masks
 
 LEVELS = 3
 """Subpart, part, whole: SAM's masks for one point, by size."""
@@ -35,7 +35,7 @@ class _Masks:
     scores: Tensor
     areas: Tensor
 
-    def picked(self, rows: Tensor) -> _Masks:
+    def pick(self, rows: Tensor) -> _Masks:
         return _Masks(self.logits[rows], self.scores[rows], self.areas[rows])
 
 
@@ -53,8 +53,8 @@ class SamSegmenter:
             EncoderError: it is missing, unsafe, damaged, or does not do what a checkpoint of its kind must.
         """
         segmenter = cls(open_checkpoint(SAM, name, allow_download=allow_download))
-        with fitting(SAM, name):
-            segmenter._answers(segmenter._seen(np.zeros((8, 8, 3), np.uint8)), torch.full((1, 2), 0.5), 1.0)
+        with explain_misfit(SAM, name):
+            segmenter._answers(segmenter._embed(np.zeros((8, 8, 3), np.uint8)), torch.full((1, 2), 0.5), 1.0)
         return segmenter
 
     @property
@@ -64,7 +64,7 @@ class SamSegmenter:
     def segment(self, image: NDArray[np.uint8], *, progress: Progress = silent) -> Segments:
         """See `Segmenter`; a pixel outside all masks is -1. A photo without any mask has a count of 0."""
         height, width = image.shape[:2]
-        seen = self._seen(image)
+        seen = self._embed(image)
         steps = (torch.arange(POINTS_A_SIDE) + 0.5) / POINTS_A_SIDE
         points = torch.cartesian_prod(steps, steps).flip(-1)
         answers: list[list[_Masks]] = []
@@ -75,11 +75,11 @@ class SamSegmenter:
         labels = np.full((LEVELS, height, width), -1, np.int32)
         for level in range(LEVELS):
             found = [answer[level] for answer in answers]
-            _paint(labels[level], _distinct(_Masks(*map(torch.cat, zip(*map(_fields, found), strict=True)))))
-        return numbered(labels)
+            _paint(labels[level], _remove_covered(_Masks(*map(torch.cat, zip(*map(_fields, found), strict=True)))))
+        return number_masks(labels)
 
     @torch.inference_mode()
-    def _seen(self, image: NDArray[np.uint8]) -> _Seen:
+    def _embed(self, image: NDArray[np.uint8]) -> _Seen:
         model = self.checkpoint.model
         shown = self.checkpoint.pictures(images=image, return_tensors="pt")
         embedding = model.get_image_embeddings(shown["pixel_values"].to(model.device, model.dtype))
@@ -101,7 +101,7 @@ class SamSegmenter:
         order = (logits > 0).sum((-2, -1)).argsort(dim=1, stable=True)
         least = least_share * logits[0, 0].numel()
         return [
-            _good(logits[torch.arange(len(points)), which], predicted.gather(1, which[:, None])[:, 0], least)
+            _find_good(logits[torch.arange(len(points)), which], predicted.gather(1, which[:, None])[:, 0], least)
             for which in order.unbind(1)
         ]
 
@@ -119,17 +119,17 @@ def _fields(masks: _Masks) -> tuple[Tensor, ...]:
     return masks.logits, masks.scores, masks.areas
 
 
-def _good(logits: Tensor, predicted: Tensor, least: float) -> _Masks:
-    """Which of (P, h, w) masks, with (P,) predicted IoU, are accurate, stable and have at least `least` cells."""
+def _find_good(logits: Tensor, predicted: Tensor, least: float) -> _Masks:
+    """Find which of (P, h, w) masks, with (P,) predicted IoU, are accurate, stable and have at least `least` cells."""
     areas, strict, lenient = ((logits > threshold).sum((-2, -1)) for threshold in (0.0, 1.0, -1.0))
     stability = strict / lenient.clamp_min(1)
     good = (predicted >= LEAST_IOU) & (stability >= LEAST_STABILITY) & (areas >= max(least, 1.0))
-    return _Masks(logits.half(), predicted * stability, areas).picked(good.nonzero()[:, 0])
+    return _Masks(logits.half(), predicted * stability, areas).pick(good.nonzero()[:, 0])
 
 
-def _distinct(masks: _Masks) -> _Masks:
+def _remove_covered(masks: _Masks) -> _Masks:
     """Remove masks that a mask of a higher score covers already."""
-    masks = masks.picked(masks.scores.argsort(descending=True, stable=True))
+    masks = masks.pick(masks.scores.argsort(descending=True, stable=True))
     inside = (masks.logits > 0).flatten(1)
     stays = torch.ones(len(inside), dtype=torch.bool)
     for start in range(0, len(inside), BLOCK):
@@ -140,7 +140,7 @@ def _distinct(masks: _Masks) -> _Masks:
         for row, twins in enumerate(same, start=start):
             if stays[row]:
                 stays[row + 1 :] &= ~twins[row + 1 :]
-    return masks.picked(stays.nonzero()[:, 0])
+    return masks.pick(stays.nonzero()[:, 0])
 
 
 def _paint(labels: NDArray[np.int32], masks: _Masks) -> None:

@@ -32,8 +32,8 @@ class SegmentedView:
     vectors: Tensor
 
 
-def numbered(labels: NDArray[np.int32]) -> Segments:
-    """Masks from labels (L, H, W) whose numbers, -1 for none, may have gaps and may repeat at another level."""
+def number_masks(labels: NDArray[np.int32]) -> Segments:
+    """Number masks from labels (L, H, W) whose numbers, -1 for none, may have gaps and may repeat at another level."""
     result, count = np.empty_like(labels), 0
     for level, given in enumerate(labels):
         used = np.bincount(given.ravel() + 1)[1:] > 0

@@ -33,7 +33,7 @@ class ColourChoice:
     @classmethod
     def of(cls, split: ColourSplit, gaussians: Gaussians, photos: PhotoFeatures | None) -> ColourChoice:
         """The choice among the fruit of a scene."""
-        return cls(split, _said(gaussians.base_colors, split), photos)
+        return cls(split, _weigh_words(gaussians.base_colors, split), photos)
 
     @property
     def asked(self) -> NDArray[np.bool_]:
@@ -45,7 +45,7 @@ class ColourChoice:
         kept have the last row, of zeros."""
         if self.photos is None:
             return
-        for ((height, width), places, _), said in zip(self.photos.coloured(), self._said_by_photos, strict=True):
+        for ((height, width), places, _), said in zip(self.photos.iterate_colours(), self._said_by_photos, strict=True):
             rows = np.full(height * width, len(places))
             rows[places.numpy()] = np.arange(len(places))
             yield rows.reshape(height, width), said
@@ -53,12 +53,12 @@ class ColourChoice:
     @cached_property
     def _said_by_photos(self) -> list[NDArray[np.float32]]:
         """Of each photo what its pixels say for the colours, and a last row of zeros (k + 1, A)."""
-        photos = self.photos.coloured() if self.photos is not None else ()
-        return [np.pad(_said(pixels, self.split), ((0, 1), (0, 0))) for _, _, pixels in photos]
+        photos = self.photos.iterate_colours() if self.photos is not None else ()
+        return [np.pad(_weigh_words(pixels, self.split), ((0, 1), (0, 0))) for _, _, pixels in photos]
 
 
-def colour_split(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
-    """The prompts without their colours; None if colours choose nothing, or the encoder does not separate them.
+def split_by_colour(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[str]) -> ColourSplit | None:
+    """Return the prompts without their colours; None if colours choose nothing, or the encoder does not separate them.
 
     Raises:
         VocabularyError: an unknown word.
@@ -66,8 +66,8 @@ def colour_split(encoder: Encoder, prompts: Sequence[str], negatives: Sequence[s
     return encoder.split_colours(prompts, negatives) if splits_colours(encoder) else None
 
 
-def _said(pixels: Tensor, split: ColourSplit) -> NDArray[np.float32]:
-    """(N, A) how much pixels (N, 3) say for each word, for the colour of fruit if all are colours of fruit."""
+def _weigh_words(pixels: Tensor, split: ColourSplit) -> NDArray[np.float32]:
+    """Return (N, A) how much pixels (N, 3) say for each word, for the colour of fruit if all are colours of fruit."""
     pixels, of_fruit = pixels.detach().float().cpu(), set(split.words) <= set(FRUIT_COLOURS)
     said, known = (fruit_colours(pixels, split.kinds), FRUIT_COLOURS) if of_fruit else (colour_words(pixels), COLOURS)
     return said[:, [known.index(word) for word in split.words]].numpy()

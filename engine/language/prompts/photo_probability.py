@@ -17,8 +17,8 @@ from ..encoders.encoder import Encoder, FruitEncoder
 from ..features.features import Features
 from ..features.lift import record_photos
 from ..features.photo_features import PhotoFeatures
-from .prior import kind_shares, weighed_by
-from .relevancy import answers_of, check_encoder, check_taught, taught_words, telling_words, understood, union
+from .prior import kind_shares, weigh_kinds
+from .relevancy import answers_of, check_encoder, check_taught, taught_words, telling_words, understand, union
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ def photo_probabilities(
     """The map of each photo: what `relevancy` gives Gaussians, for pixels; 0 where no fruit is likely.
 
     features: of the Gaussians, whose kinds of fruit are those of the scene. None if a prompt names no kind of fruit,
-    because of other objects the photos keep no features. For taught words the photos are those of `photos_for`.
+    because of other objects the photos keep no features. For taught words the photos are those of `prepare_photos`.
 
     Raises:
         EncoderError: the features, or those of the photos, were made by another encoder.
@@ -63,7 +63,7 @@ def photo_probabilities(
     return maps
 
 
-def photos_for(
+def prepare_photos(
     photos: PhotoFeatures,
     scene: Scene,
     features: Features,
@@ -73,8 +73,8 @@ def photos_for(
     *,
     progress: Progress = silent,
 ) -> PhotoFeatures | None:
-    """The features of the photos' pixels that a prompt needs: those that were kept, unless a word was taught. Then the
-    encoder looks at the photos again, because what it kept may not show this fruit; None if they are missing.
+    """Prepare the features of the photos' pixels that a prompt needs: those that were kept, unless a word was taught.
+    Then the encoder looks at the photos again, because what it kept may not show this fruit; None if they are missing.
 
     Raises:
         EncoderError, FormatError: a taught word cannot be used.
@@ -92,7 +92,7 @@ class _Asked:
     """Words as the encoder and the Gaussians of a scene understand them."""
 
     def __init__(self, encoder: Encoder, words: Sequence[str], features: Features, *, sought: bool) -> None:
-        self.words, self._encoder = understood(encoder, words, sought=sought), encoder
+        self.words, self._encoder = understand(encoder, words, sought=sought), encoder
         if self.words.taught.any():
             check_taught(features, encoder, self.words.sizes)
         self._shares: Tensor | None = None
@@ -101,5 +101,5 @@ class _Asked:
 
     def probability(self, vectors: Tensor, embedding: Tensor) -> Tensor:
         """(n,) of any of the words for unit features (n, D), and the embedding (n, E) for taught words."""
-        weighed = vectors if self._shares is None else weighed_by(vectors, self.words.kinds, self._shares)
+        weighed = vectors if self._shares is None else weigh_kinds(vectors, self.words.kinds, self._shares)
         return union(answers_of(vectors, weighed, self.words, embedding), self.words.texts, self._encoder)

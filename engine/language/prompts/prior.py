@@ -36,17 +36,16 @@ def kind_shares(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) 
     return shares.float()
 
 
-def in_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
-    """(N, D) unit features whose kinds are weighted by their shares of the scene; the probability of fruit is
-    unchanged.
+def weigh_for_scene(vectors: Tensor, weights: Tensor, kinds: Tensor, asked: Tensor) -> Tensor:
+    """Weight the kinds of unit features (N, D) by their shares of the scene; the probability of fruit is unchanged.
 
     See `kind_shares`.
     """
-    return weighed_by(vectors, kinds, kind_shares(vectors, weights, kinds, asked))
+    return weigh_kinds(vectors, kinds, kind_shares(vectors, weights, kinds, asked))
 
 
-def weighed_by(vectors: Tensor, kinds: Tensor, shares: Tensor) -> Tensor:
-    """(N, D) unit features whose kinds (K, D) are weighted by shares (K,); the probability of fruit is unchanged."""
+def weigh_kinds(vectors: Tensor, kinds: Tensor, shares: Tensor) -> Tensor:
+    """Weight the kinds (K, D) of unit features (N, D) by shares (K,); the probability of fruit is unchanged."""
     cosines = vectors @ kinds.T
     weighed = cosines * shares.sqrt()
     length = cosines.norm(dim=1, keepdim=True) / weighed.norm(dim=1, keepdim=True).clamp_min(1e-12)

@@ -14,7 +14,7 @@ from ...errors import EncoderError, VocabularyError
 from ..encoders.encoder import Encoder, Question, TaughtQuestion, sees_fruit
 from ..features.features import Features, blocks
 from .levels import best_level
-from .prior import in_scene
+from .prior import weigh_for_scene
 
 MIN_WEIGHT = 0.3
 """A Gaussian with fewer pixels than this, summed over all views, has probability 0."""
@@ -54,7 +54,7 @@ def any_of(features: Features, encoder: Encoder, words: Sequence[str], *, sought
     So a synonym, or a word within another one, adds nothing, kinds of fruit add, and the order does not matter. Each
     word uses the level of masks with the highest confidence (see `best_level`).
     """
-    named = understood(encoder, words, sought=sought)
+    named = understand(encoder, words, sought=sought)
     if named.taught.any():
         check_taught(features, encoder, named.sizes)
     answers = answers_by_level(features, named) * (features.weights.T >= MIN_WEIGHT)[:, None]
@@ -116,8 +116,8 @@ class Words:
         ]
 
 
-def understood(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -> Words:
-    """The words as `encoder` represents them, computed once for any number of Gaussians.
+def understand(encoder: Encoder, words: Sequence[str], *, sought: bool = True) -> Words:
+    """Return the words as `encoder` represents them, computed once for any number of Gaussians.
 
     sought: they are prompts, so the kinds that they name are assumed to be there. Words for no kind of fruit, or for
     all of them, say nothing about that.
@@ -146,7 +146,7 @@ def scene_answers(vectors: Tensor, weights: Tensor, words: Words, evidence: Tens
     Kinds of fruit are weighted by their share of the scene and by what is believed to be there (see `prior`).
     """
     telling = telling_words(words.named)
-    weighed = in_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
+    weighed = weigh_for_scene(vectors, weights, words.kinds, words.believed) if telling.any() else vectors
     return torch.stack(answers_of(vectors, weighed, words, evidence))
 
 

@@ -38,7 +38,7 @@ def select(
         ).float()
     else:
         found = relevancy(features, encoder, prompts, negatives)
-    return smoothed(found, features.weights.amax(1), means, config.neighbours) if config.neighbours else found
+    return smooth(found, features.weights.amax(1), means, config.neighbours) if config.neighbours else found
 
 
 def dual_threshold(
@@ -81,8 +81,8 @@ def _largest_cosines(features: Features, text: Tensor) -> Tensor:
     return cosines
 
 
-def smoothed(probability: Tensor, weights: Tensor, means: Tensor, neighbours: int) -> Tensor:
-    """(N,) probabilities averaged over each Gaussian and its nearest `neighbours`, weighted by pixels.
+def smooth(probability: Tensor, weights: Tensor, means: Tensor, neighbours: int) -> Tensor:
+    """Average probabilities (N,) over each Gaussian and its nearest `neighbours`, weighted by pixels.
 
     weights: (N,) those pixels. A Gaussian without pixels keeps its own probability.
     """

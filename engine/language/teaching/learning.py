@@ -85,16 +85,16 @@ def learn(examples: Examples, background: Background) -> tuple[Tensor, float]:
     for _ in range(ROUNDS - 1):
         odds = vectors @ solved[:-1] + solved[-1] + prior
         said = background.prior if refines else None
-        alike = _like_examples(odds[: len(own)], odds[len(own) :], examples.positive, said)
+        alike = _find_similar(odds[: len(own)], odds[len(own) :], examples.positive, said)
         solved = logistic(vectors, target, weights * np.concatenate([np.ones(len(own)), ~alike]), prior)
     slopes = solved[:-1] / spread
     return torch.from_numpy(slopes.astype(np.float32)), float(solved[-1] - slopes @ mean)
 
 
-def _like_examples(
+def _find_similar(
     own: FloatArray, rest: FloatArray, positive: NDArray[np.bool_], said: FloatArray | None
 ) -> NDArray[np.bool_]:
-    """(b,) which of the background looks like the examples, so that its own answer does not count.
+    """Find which of the background (b,) looks like the examples, so that its own answer does not count.
 
     own, rest: (n,), (b,) log odds of the examples and of the background; positive: (n,); said: (b,) log odds of the
     built-in word that is refined: only what it says the opposite of can look like an example.

@@ -82,7 +82,7 @@ class Lesson:
         Raises:
             VocabularyError: there is no example that `learn` needs, or a positive one and a negative one are the same.
         """
-        shown = [evenly(mark.rows, MOST_ROWS) for mark in marks]
+        shown = [select_evenly(mark.rows, MOST_ROWS) for mark in marks]
         own = np.concatenate([np.zeros(0, np.int64), *shown])
         vectors = torch.from_numpy(self._ground.evidence[own]).half()
         positive = torch.tensor([mark.positive for mark in marks], dtype=torch.bool)
@@ -98,10 +98,10 @@ class Lesson:
             vectors, prior = torch.cat([old.vectors, vectors]), torch.cat([old.prior, prior])
             signs, examples = torch.cat([old.positive, signs]), (*old.examples, *examples)
             pictures = [*old.thumbnails, *pictures]
-        kept = _within(groups, min(MOST_VECTORS, MOST_NUMBERS // vectors.shape[1]))
+        kept = _select_within(groups, min(MOST_VECTORS, MOST_NUMBERS // vectors.shape[1]))
         vectors, prior, signs, groups = vectors[kept], prior[kept], signs[kept], groups[kept]
         learnt = Examples(vectors.double().numpy(), signs.numpy(), prior.double().numpy(), groups.numpy())
-        background = self._ground.background(self._prior)
+        background = self._ground.sample_background(self._prior)
         if (pair := contradiction(learnt, background)) is not None:
             one, other = (examples[number].place for number in pair)
             raise VocabularyError(
@@ -116,14 +116,14 @@ class Lesson:
         return dataclasses.replace(taught, thumbnails=torch.stack(pictures[:MOST_THUMBNAILS])) if pictures else taught
 
 
-def evenly(rows: IntArray, most: int) -> IntArray:
-    """An even selection of at most `most` of the rows."""
+def select_evenly(rows: IntArray, most: int) -> IntArray:
+    """Select at most `most` of the rows, evenly."""
     return rows if len(rows) <= most else rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
 
 
-def _within(groups: Tensor, most: int) -> Tensor:
-    """Places of at most `most` of the rows whose examples are given (n,), the same number of each large example; of
-    more examples than that, an even selection."""
+def _select_within(groups: Tensor, most: int) -> Tensor:
+    """Select the places of at most `most` of the rows whose examples are given (n,), the same number of each large
+    example; of more examples than that, an even selection."""
     if len(groups) <= most:
         return torch.arange(len(groups))
     own = groups.numpy()
@@ -135,4 +135,4 @@ def _within(groups: Tensor, most: int) -> Tensor:
     rank[order] = np.arange(len(own)) - starts[place[order]]
     size = sizes[place]
     kept = (size <= each) | (rank == 0) | (rank * each // size > (rank - 1) * each // size)
-    return torch.from_numpy(evenly(np.flatnonzero(kept), most))
+    return torch.from_numpy(select_evenly(np.flatnonzero(kept), most))

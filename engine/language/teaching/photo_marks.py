@@ -85,18 +85,18 @@ def marks_of_clicks(clicks: Sequence[Click], scene: Scene, gaussians: Gaussians,
     )
     marks = []
     for click in clicks:
-        view = photo_named(scene, click.photo)
+        view = find_photo(scene, click.photo)
         camera, photo = scene.cameras[view], scene.images[view]
-        u, v = seen_at(photo, camera, click.x, click.y)
+        u, v = locate_pixel(photo, camera, click.x, click.y)
         hit = pick_surface(*ray_through(camera, u, v), means, scales, quats, opacities.reshape(-1))
         if hit is None:
             raise SceneError(f"{click.place} shows nothing that was reconstructed. Click on the tree or on the ground")
-        marks.append(Mark(click.positive, click.place, ground.around(hit), _cut(photo.pixels(), u, v)))
+        marks.append(Mark(click.positive, click.place, ground.grow_region(hit), _cut_thumbnail(photo.pixels(), u, v)))
     return marks
 
 
-def photo_named(scene: Scene, name: str) -> int:
-    """The view of a photo, by its name in the scene or by the name of its file, with or without suffix.
+def find_photo(scene: Scene, name: str) -> int:
+    """Find the view of a photo, by its name in the scene or by the name of its file, with or without suffix.
 
     Raises:
         SceneError: there is none, or more than one.
@@ -113,8 +113,8 @@ def photo_named(scene: Scene, name: str) -> int:
     raise SceneError(f"No photo is named '{name}'. The scene has {names[0]} to {names[-1]}")
 
 
-def seen_at(photo: Photo, camera: Camera, x: float, y: float) -> tuple[float, float]:
-    """Where a camera sees a pixel of its photo.
+def locate_pixel(photo: Photo, camera: Camera, x: float, y: float) -> tuple[float, float]:
+    """Find where a camera sees a pixel of its photo.
 
     Raises:
         SceneError: the pixel lies outside the photo, or outside what the camera sees of it.
@@ -156,7 +156,7 @@ def marks_of_boxes(file: Path, word: str, scene: Scene, gaussians: Gaussians, gr
     for row in _rows(file):
         own = not row.get("label") or word_name(row["label"]) == word
         corners = [float(row[name]) for name in ("xmin", "ymin", "xmax", "ymax")]
-        boxes.setdefault(photo_named(scene, row["image"]), []).append((own, corners))
+        boxes.setdefault(find_photo(scene, row["image"]), []).append((own, corners))
     marks = []
     for view, own_boxes in sorted(boxes.items()):
         photo = scene.images[view]
@@ -211,7 +211,7 @@ def marks_of_masks(folder: Path, scene: Scene, gaussians: Gaussians, ground: Gro
         raise FormatError(f"{folder} has no mask pictures. Give a folder with a .png a photo, white on the fruit")
     marks = []
     for picture in pictures:
-        view = photo_named(scene, picture.stem)
+        view = find_photo(scene, picture.stem)
         photo = scene.images[view]
         try:
             with open_picture(picture) as image:
@@ -233,7 +233,7 @@ def _gaussians_of(
 ) -> Mapping[int, IntArray]:
     """Of each numbered area of a photo the Gaussians that show little else, as places in `ground.rows`."""
     camera, photo = scene.cameras[view], scene.images[view]
-    covered = _as_seen((areas > 0)[..., None].astype(np.float32), photo, camera)
+    covered = _warp_to_view((areas > 0)[..., None].astype(np.float32), photo, camera)
     target = torch.from_numpy(np.ascontiguousarray(covered))
     drawn = accumulate(gaussians, camera, target)
     inside, whole = drawn.sums[:, 0].numpy()[ground.rows], drawn.weights.numpy()[ground.rows]
@@ -241,14 +241,14 @@ def _gaussians_of(
     points = ground.means[chosen] @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     pixels = points @ camera.K.T
     columns, rows = np.floor(pixels[:, :2] / np.maximum(pixels[:, 2:], 1e-12)).astype(np.int64).T
-    numbers = _numbers_as_seen(areas, photo, camera)
+    numbers = _warp_numbers(areas, photo, camera)
     fits = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     found = numbers[rows[fits], columns[fits]]
     return {int(number): chosen[fits][found == number] for number in np.unique(found[found > 0])}
 
 
-def _as_seen(values: NDArray[np.float32], photo: Photo, camera: Camera) -> NDArray[np.float32]:
-    """(H, W, C) of a photo as its file shows it → of the view of its camera."""
+def _warp_to_view(values: NDArray[np.float32], photo: Photo, camera: Camera) -> NDArray[np.float32]:
+    """Warp (H, W, C) of a photo as its file shows it to the view of its camera."""
     if not isinstance(photo, FilePhoto):
         return shrink(values, camera.width, camera.height)
     resized = shrink(values, photo.width, photo.height)
@@ -257,8 +257,8 @@ def _as_seen(values: NDArray[np.float32], photo: Photo, camera: Camera) -> NDArr
     return look_up(resized, source_map(photo.lens, photo.face, photo.width, photo.height))
 
 
-def _numbers_as_seen(areas: NDArray[np.int32], photo: Photo, camera: Camera) -> NDArray[np.int32]:
-    """The number of the area at each pixel of the view: the nearest."""
+def _warp_numbers(areas: NDArray[np.int32], photo: Photo, camera: Camera) -> NDArray[np.int32]:
+    """Find the number of the area at each pixel of the view: the nearest."""
     height, width = areas.shape
     if isinstance(photo, FilePhoto) and not photo.lens.is_pinhole:
         source = source_map(photo.lens, photo.face, photo.width, photo.height)
@@ -290,8 +290,8 @@ def _ellipse(corners: Sequence[float], shape: tuple[int, ...]) -> NDArray[np.boo
     return inside
 
 
-def _cut(pixels: NDArray[np.uint8], u: float, v: float) -> Tensor:
-    """(THUMBNAIL, THUMBNAIL, 3) uint8: the surroundings of a pixel of a view."""
+def _cut_thumbnail(pixels: NDArray[np.uint8], u: float, v: float) -> Tensor:
+    """Cut out the surroundings of a pixel of a view, (THUMBNAIL, THUMBNAIL, 3) uint8."""
     half = max(8, round(CUT * max(pixels.shape[:2]) / 2))
     padded = np.pad(pixels, ((half, half), (half, half), (0, 0)), mode="edge")
     part = torch.from_numpy(padded[int(v) : int(v) + 2 * half, int(u) : int(u) + 2 * half].copy())

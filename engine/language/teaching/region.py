@@ -54,9 +54,9 @@ class Ground:
         evidence = features.evidence().double().numpy()[rows]
         return cls(rows, places[rows], evidence, weights[rows], cKDTree(places[rows]))
 
-    def background(self, prior: FloatArray, seed: int = 0) -> Background:
-        """A sample of the scene, each Gaussian with a chance proportional to its pixels. prior: (M,) log odds of the
-        word that is refined, see `Examples`."""
+    def sample_background(self, prior: FloatArray, seed: int = 0) -> Background:
+        """Take a sample of the scene, each Gaussian with a chance proportional to its pixels. prior: (M,) log odds of
+        the word that is refined, see `Examples`."""
         chance = self.weights / self.weights.sum()
         size = min(SAMPLE, int((chance > 0.0).sum()))
         chosen = np.sort(np.random.default_rng(seed).choice(len(self.rows), size, replace=False, p=chance))
@@ -66,9 +66,9 @@ class Ground:
     def _scale(self) -> tuple[FloatArray, FloatArray]:
         return scale_of(self.evidence, self.weights)
 
-    def around(self, place: FloatArray) -> IntArray:
-        """The region of a click at a place (3,), scene units, as places in `rows`: alike Gaussians that hang together,
-        the nearest first."""
+    def grow_region(self, place: FloatArray) -> IntArray:
+        """Grow the region of a click at a place (3,), scene units, as places in `rows`: alike Gaussians that hang
+        together, the nearest first."""
         if len(self.rows) < SEEDS:
             return np.arange(len(self.rows))
         mean, spread = self._scale
@@ -78,11 +78,11 @@ class Ground:
         alike = np.sqrt(((own - typical) ** 2).mean(axis=1)) < ALIKE
         alike[0] = True
         found: IntArray = near[alike]
-        return found[_together(self.means[found])][:MOST]
+        return found[_find_connected(self.means[found])][:MOST]
 
 
-def _together(places: FloatArray) -> NDArray[np.bool_]:
-    """(n,) which of places (n, 3) hang together with the first."""
+def _find_connected(places: FloatArray) -> NDArray[np.bool_]:
+    """Find which (n,) of places (n, 3) hang together with the first."""
     _, near = cKDTree(places).query(places, k=min(NEIGHBOURS + 1, len(places)))
     near = near.reshape(len(places), -1)
     one = np.repeat(np.arange(len(places)), near.shape[1])

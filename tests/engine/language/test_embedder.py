@@ -87,7 +87,7 @@ def test_an_encoder_of_whole_photos_sees_each_at_the_scales_that_are_given_if_an
     assert sees_fruit(embedder.encoder)
     recorder = PhotoFeaturesRecorder(embedder.encoder.kinds(), embedder.encoder.fruit_identity)
     embedder.lift(gaussians, two, tmp_path, scales=scales, recorder=recorder)
-    kept = recorder.kept()
+    kept = recorder.collect()
     assert kept.seen_at == (scales or [(), ()])
     height, width = two.cameras[0].height, two.cameras[0].width
     assert kept.shapes[0].tolist() == list(map_size(height, width, scales[0] if scales else scales_of(height, width)))

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from fruitlangs.engine.config import EmbedConfig, TrainConfig
 from fruitlangs.engine.errors import Cancelled, EncoderError, SceneError
-from fruitlangs.engine.language.features.joint import Semantics, judged, prepare_joint, sampled
+from fruitlangs.engine.language.features.joint import Semantics, judge_channels, prepare_joint, sample_nearest
 from fruitlangs.engine.language.masks.segments import SegmentedView
 from fruitlangs.engine.scene.camera import Scene
 from fruitlangs.engine.splatting.gaussians import PARAMETERS, Gaussians
@@ -144,7 +144,7 @@ def test_the_semantic_loss_moves_gaussians_where_it_may(scene: Scene, semantics:
 
 
 def test_trained_codes_answer_with_the_words_of_their_pixels(scene: Scene, semantics: Semantics, together: Training):
-    features = judged(semantics, together.channels, together.gaussians, scene.cameras, segmented(scene))
+    features = judge_channels(semantics, together.channels, together.gaussians, scene.cameras, segmented(scene))
     seen = features.weights > 20.0
     assert int(seen[:, 1].sum()) > 10
     # At the second level there is one word only; at the first most pixels around a Gaussian say one of two.
@@ -248,5 +248,5 @@ def test_a_vector_that_is_not_finite_is_refused(scene: Scene):
 
 def test_a_view_drawn_at_half_size_is_compared_with_the_pixels_under_its_middles():
     cells = np.arange(6 * 8).reshape(6, 8)
-    assert np.array_equal(sampled(cells, 3, 4), cells[1::2, 1::2])
-    assert np.array_equal(sampled(cells, 6, 8), cells)
+    assert np.array_equal(sample_nearest(cells, 3, 4), cells[1::2, 1::2])
+    assert np.array_equal(sample_nearest(cells, 6, 8), cells)

@@ -191,7 +191,7 @@ def test_each_photo_is_encoded_at_its_own_scales(recorded: bool):
     views = encode_photos(scene, encoder, scales, recorder)  # type: ignore[arg-type]
     assert [encoder.scales for _ in views] == scales
     if recorder is not None:
-        assert recorder.kept().seen_at == scales
+        assert recorder.collect().seen_at == scales
 
 
 def test_as_many_scales_as_photos_are_needed():

@@ -25,7 +25,7 @@ from fruitlangs.engine.language.features.photo_features import (
     load_photo_features,
     save_photo_features,
 )
-from fruitlangs.engine.language.prompts.photo_probability import photo_probabilities, photos_for
+from fruitlangs.engine.language.prompts.photo_probability import photo_probabilities, prepare_photos
 from fruitlangs.engine.language.prompts.relevancy import relevancy
 from fruitlangs.engine.language.taught.word import TaughtWord
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
@@ -50,7 +50,7 @@ def kept(encoder: EmbeddedEncoder, *photos: torch.Tensor) -> PhotoFeatures:
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     for photo in photos:
         recorder.keep(FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0)), pixels_of(photo), (0.75,))
-    return recorder.kept()
+    return recorder.collect()
 
 
 def of_two(encoder: EmbeddedEncoder) -> PhotoFeatures:
@@ -102,7 +102,7 @@ def test_the_offset_of_a_pixel_is_kept_with_it(encoder: EmbeddedEncoder) -> None
 
 def test_the_colour_of_a_pixel_is_kept_with_it(encoder: EmbeddedEncoder) -> None:
     photo = photo_of(encoder)
-    ((_, places, colours),) = kept(encoder, photo).coloured()
+    ((_, places, colours),) = kept(encoder, photo).iterate_colours()
     whole = pixels_of(photo)[::2, ::2].reshape(-1, 3)
     assert np.array_equal((colours * 255.0).round().numpy(), whole[places])
 
@@ -141,7 +141,7 @@ def test_the_scales_of_photos_are_kept_and_read_back(
     for own in scales:
         view = FruitView(photo, offsets_of(photo), torch.zeros(*photo.shape[:2], 0))
         recorder.keep(view, pixels_of(photo), own)
-    save_photo_features(tmp_path / "photos.safetensors", recorder.kept())
+    save_photo_features(tmp_path / "photos.safetensors", recorder.collect())
     assert load_photo_features(tmp_path / "photos.safetensors").seen_at == scales
 
 
@@ -249,7 +249,7 @@ def test_prompts_without_a_taught_word_use_what_was_kept(
     before = kept(encoder, photo_of(encoder))
     features = features_of(encoder, photo_of(encoder))
     for scene in (tree_of(), replace(tree_of(), images=[])):
-        assert photos_for(before, scene, features, seeing, prompts, negatives) is before
+        assert prepare_photos(before, scene, features, seeing, prompts, negatives) is before
 
 
 def test_for_a_taught_word_the_pixels_of_its_fruit_are_kept(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
@@ -257,7 +257,7 @@ def test_for_a_taught_word_the_pixels_of_its_fruit_are_kept(encoder: EmbeddedEnc
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     mask = np.ones((6, 8), bool)
     mask[:, :3] = False
-    after = photos_for(before, tree_of(mask), features, seeing, ["figs"])
+    after = prepare_photos(before, tree_of(mask), features, seeing, ["figs"])
     assert after is not None
     assert after.places.tolist() == [*range(16, 24), *range(19, 24)]
     assert after.counts.tolist() == [8, 5]
@@ -276,7 +276,7 @@ def test_for_a_taught_word_photos_are_seen_again_at_the_scales_at_which_they_wer
     before = replace(before, scales=torch.tensor([[0.5, 0.25], [1.5, 0.0]]))
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     SEEN_AT.clear()
-    after = photos_for(before, tree_of(), features, seeing, ["fig"])
+    after = prepare_photos(before, tree_of(), features, seeing, ["fig"])
     assert after is not None
     assert SEEN_AT == after.seen_at == [(0.5, 0.25), (1.5,)]
 
@@ -284,7 +284,7 @@ def test_for_a_taught_word_photos_are_seen_again_at_the_scales_at_which_they_wer
 def test_a_taught_negative_is_searched_in_the_photos_too(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     whole = replace(seeing, taught={**seeing.taught, "plum": word_of("plum", 0.0, 0.0, 0.0, bias=9.0)})
-    after = photos_for(of_two(encoder), tree_of(), features, whole, ["plum"], ["fig"])
+    after = prepare_photos(of_two(encoder), tree_of(), features, whole, ["plum"], ["fig"])
     assert after is not None
     assert after.counts.tolist() == [48, 48]
     first, _ = photo_probabilities(after, features, whole, ["plum"], ["fig"]) or []
@@ -296,8 +296,8 @@ def test_photos_that_are_missing_cannot_be_searched_for_a_taught_word(encoder: E
     before = kept(encoder, photo_of(encoder))
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     missing = replace(tree_of(), images=[])
-    assert photos_for(before, missing, features, seeing, ["fig"]) is None
-    assert photos_for(before, missing, features, seeing, ["apple"], ["fig"]) is None
+    assert prepare_photos(before, missing, features, seeing, ["fig"]) is None
+    assert prepare_photos(before, missing, features, seeing, ["apple"], ["fig"]) is None
 
 
 def test_the_search_for_a_taught_word_can_be_cancelled(encoder: EmbeddedEncoder, seeing: Seeing) -> None:
@@ -309,5 +309,5 @@ def test_the_search_for_a_taught_word_can_be_cancelled(encoder: EmbeddedEncoder,
 
     features = replace(features_of(encoder, photo_of(encoder)), embedding=torch.zeros(48, 3).half())
     with pytest.raises(Cancelled):
-        photos_for(of_two(encoder), tree_of(), features, seeing, ["fig"], progress=progress)
+        prepare_photos(of_two(encoder), tree_of(), features, seeing, ["fig"], progress=progress)
     assert seen == [0.5]

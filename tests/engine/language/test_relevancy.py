@@ -12,7 +12,7 @@ from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.encoders.embedded import Calibration, EmbeddedEncoder
 from fruitlangs.engine.language.encoders.network import Network
 from fruitlangs.engine.language.features.features import Features
-from fruitlangs.engine.language.prompts.prior import in_scene, kind_shares
+from fruitlangs.engine.language.prompts.prior import kind_shares, weigh_for_scene
 from fruitlangs.engine.language.prompts.relevancy import (
     MIN_WEIGHT,
     answer,
@@ -20,7 +20,7 @@ from fruitlangs.engine.language.prompts.relevancy import (
     any_of,
     exclusive_sets,
     relevancy,
-    understood,
+    understand,
 )
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS
 
@@ -135,7 +135,7 @@ def test_a_certain_fruit_of_another_kind_stays_itself(encoder: EmbeddedEncoder):
 
 def test_the_scene_does_not_change_how_much_a_gaussian_is_fruit(encoder: EmbeddedEncoder):
     vectors = torch.stack([_feature("red", apple=0.5, leaf=0.2), _feature("green", leaf=0.8, pear=0.1)])
-    weighed = in_scene(vectors, torch.full((2,), 1e5), encoder.kinds(), torch.tensor([True] + [False] * 7))
+    weighed = weigh_for_scene(vectors, torch.full((2,), 1e5), encoder.kinds(), torch.tensor([True] + [False] * 7))
     assert torch.allclose(weighed.norm(dim=1), torch.ones(2), atol=1e-5)
     before, after = (answer(each, encoder.questions("fruit")) for each in (vectors, weighed))
     assert torch.allclose(before, after, atol=1e-5)
@@ -224,7 +224,7 @@ def test_a_word_within_another_takes_the_greater_probability(encoder: EmbeddedEn
 
 def test_kinds_that_exclude_each_other_add_up_to_all_fruit_at_most(encoder: EmbeddedEncoder):
     features = _features(_feature("red", apple=0.4, peach=0.4), weight=100.0)
-    alone = understood(encoder, ["apple", "peach"])
+    alone = understand(encoder, ["apple", "peach"])
     each = answers_by_level(features, alone)[0, :, 0]
     both = float(relevancy(features, encoder, ["apple", "peach"]))
     assert both == pytest.approx(float(each.sum()), abs=1e-6)

@@ -14,7 +14,7 @@ from fruitlangs.engine.language.encoders.encoder import Question
 from fruitlangs.engine.language.features.features import Features, Perceptron
 from fruitlangs.engine.language.prompts.levels import best_level
 from fruitlangs.engine.language.prompts.relevancy import MIN_WEIGHT, relevancy
-from fruitlangs.engine.language.prompts.selection import dual_threshold, select, smoothed
+from fruitlangs.engine.language.prompts.selection import dual_threshold, select, smooth
 
 WORDS = ("apple", "pear", "leaf", "trunk")
 
@@ -145,10 +145,10 @@ def test_codes_are_asked_through_their_decoder():
 def test_smoothing_takes_in_the_nearest_by_what_they_drew():
     means = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [5.0, 0, 0], [5.1, 0, 0], [0.05, 0, 0]])
     probability, weights = torch.tensor([1.0, 0.0, 0.0, 0.0, 0.7]), torch.tensor([3.0, 1.0, 2.0, 2.0, 0.0])
-    found = smoothed(probability, weights, means, 1)
+    found = smooth(probability, weights, means, 1)
     assert torch.allclose(found, torch.tensor([0.75, 0.75, 0.0, 0.0, 0.7]))
 
 
 def test_smoothing_over_more_neighbours_than_there_are_takes_them_all():
-    found = smoothed(torch.tensor([1.0, 0.0]), torch.ones(2), torch.rand(2, 3), 50)
+    found = smooth(torch.tensor([1.0, 0.0]), torch.ones(2), torch.rand(2, 3), 50)
     assert torch.allclose(found, torch.tensor([0.5, 0.5]))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import pytest
 
 from fruitlangs.engine.errors import VocabularyError
-from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, known_words, parse
+from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUIT_COLOURS, FRUITS, list_words, parse
 from fruitlangs.engine.language.words import COLOURS as COLOUR_NAMES
 from fruitlangs.engine.language.words import FILLERS, RIPENESS, THINGS, fold
 
@@ -122,5 +122,5 @@ def test_names_are_listed_as_prompts_are_folded(table: Mapping[str, str]):
 
 
 def test_known_words_are_all_read():
-    for word in known_words():
+    for word in list_words():
         parse(word)

@@ -17,7 +17,7 @@ from checkpoints import write_clip, write_sam
 from safetensors.torch import load_file, save_file
 
 from fruitlangs.engine.errors import EncoderError
-from fruitlangs.engine.language.encoders.checkpoints import CLIP, SAM, _placed, open_checkpoint
+from fruitlangs.engine.language.encoders.checkpoints import CLIP, SAM, _move_to_device, open_checkpoint
 
 ABSENT = "somebody/no-such-clip"
 
@@ -191,6 +191,6 @@ def test_a_checkpoint_is_put_on_the_card_that_pytorch_has(
     monkeypatch.setattr("torch.cuda.is_available", lambda: cuda)
     monkeypatch.setattr("torch.backends.mps.is_available", lambda: mps)
     model = Mock()
-    assert _placed(model) is (model if place is None else model.half.return_value.to.return_value)
+    assert _move_to_device(model) is (model if place is None else model.half.return_value.to.return_value)
     if place is not None:
         model.half.return_value.to.assert_called_once_with(place)

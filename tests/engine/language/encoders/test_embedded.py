@@ -17,8 +17,8 @@ from fruitlangs.engine.errors import EncoderError, VocabularyError
 from fruitlangs.engine.language.encoders.embedded import WEIGHTS, Calibration, EmbeddedEncoder, save_weights
 from fruitlangs.engine.language.encoders.network import Network, normalise
 from fruitlangs.engine.language.encoders.open_encoder import open_encoder
-from fruitlangs.engine.language.encoders.seen import of_size
-from fruitlangs.engine.language.prompts.relevancy import answer, scene_answers, understood
+from fruitlangs.engine.language.encoders.seen import resize
+from fruitlangs.engine.language.prompts.relevancy import answer, scene_answers, understand
 from fruitlangs.engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, parse
 
 EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "orchard_tree"
@@ -87,7 +87,7 @@ def test_logits_are_the_mean_of_those_at_each_scale(tiny: EmbeddedEncoder):
     pixels = torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(2))
     large, small, both = (tiny.concept_logits(pixels, scales) for scales in ((2.0,), (1.0,), (2.0, 1.0)))
     assert small.shape[1:] == (20, 30)
-    torch.testing.assert_close(both, (large + of_size(small, 40, 60)) / 2.0, atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(both, (large + resize(small, 40, 60)) / 2.0, atol=1e-4, rtol=0.0)
 
 
 def test_a_picture_is_seen_at_the_scales_for_fruit_of_unknown_width_unless_others_are_given(tiny: EmbeddedEncoder):
@@ -171,7 +171,7 @@ def test_the_shipped_weights_find_the_fruit_of_the_sample_and_call_it_apple_befo
     features = encoder.encode_dense(image).flatten(0, 1)
     weights = torch.full((len(features),), 10.0)
     words = ["fruit", *FRUITS]
-    answers = torch.cat([scene_answers(features, weights, understood(encoder, [word])) for word in words])
+    answers = torch.cat([scene_answers(features, weights, understand(encoder, [word])) for word in words])
     found = answers.numpy().reshape(-1, *truth.shape) >= 0.5
     assert (found[0] & truth).sum() / (found[0] | truth).sum() > 0.6
     named = {word: int((each & truth).sum()) for word, each in zip(words[1:], found[1:], strict=True)}

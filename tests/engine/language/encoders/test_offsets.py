@@ -10,8 +10,8 @@ import torch
 
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
-from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, offsets_identity, save_offsets, stored_offsets
-from fruitlangs.engine.language.encoders.seen import of_size, see
+from fruitlangs.engine.language.encoders.offsets import OffsetNetwork, load_offsets, offsets_identity, save_offsets
+from fruitlangs.engine.language.encoders.seen import resize, see
 from fruitlangs.fitting.encoder.offset_learning import OffsetPicture, learn_offsets
 
 SIDE, MIDDLE, RADIUS = 160, np.array([70.0, 90.0]), 18.0
@@ -70,15 +70,15 @@ def test_offsets_of_a_large_ball_lead_to_its_middle_at_the_scale_for_its_width(
     offsets = encoder.encode_fruit(large, scales).offsets.permute(2, 0, 1)
     assert offsets.shape[1:] == (98, 98)
     inside = (places**2).sum(axis=-1) < 0.8
-    errors = np.linalg.norm(of_size(offsets, SIDE, SIDE).permute(1, 2, 0).numpy() - places, axis=-1)[inside]
+    errors = np.linalg.norm(resize(offsets, SIDE, SIDE).permute(1, 2, 0).numpy() - places, axis=-1)[inside]
     assert np.median(errors) < 0.25
 
 
 def test_offsets_at_several_scales_are_averaged_by_their_errors(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:
-    pixels, network = torch.from_numpy(ball).permute(2, 0, 1).float() / 255.0, stored_offsets(encoder.identity)
+    pixels, network = torch.from_numpy(ball).permute(2, 0, 1).float() / 255.0, load_offsets(encoder.identity)
     found = [see(encoder.network, pixels, scale, network).offsets for scale in (2.0, 1.0)]
     (fine, fine_error), (coarse, coarse_error) = (
-        of_size(each, SIDE, SIDE).split((2, 1)) for each in found if each is not None
+        resize(each, SIDE, SIDE).split((2, 1)) for each in found if each is not None
     )
     weights = [torch.exp(error).square().reciprocal() for error in (fine_error, coarse_error)]
     expected = (weights[0] * fine + weights[1] * coarse) / (weights[0] + weights[1])
@@ -89,9 +89,9 @@ def test_offsets_at_several_scales_are_averaged_by_their_errors(encoder: Embedde
 def test_weights_for_another_encoder_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "offsets.safetensors"
     save_offsets(path, OffsetNetwork(), "one")
-    assert stored_offsets("one", path).training is False
+    assert load_offsets("one", path).training is False
     with pytest.raises(EncoderError, match=r"fit_offsets\.py"):
-        stored_offsets("other", path)
+        load_offsets("other", path)
 
 
 def test_the_identity_of_what_an_encoder_sees_of_fruit_names_both_of_its_networks(encoder: EmbeddedEncoder) -> None:
@@ -117,7 +117,7 @@ def test_damaged_weights_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "offsets.safetensors"
     path.write_bytes(content)
     with pytest.raises(EncoderError, match="Install the package again"):
-        stored_offsets("one", path)
+        load_offsets("one", path)
 
 
 def test_training_on_begins_with_the_weights_that_are_given(encoder: EmbeddedEncoder, ball: np.ndarray) -> None:

@@ -14,13 +14,13 @@ from PIL import Image
 from fruitlangs.engine.language.encoders import embedded, seen
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.network import STRIDE
-from fruitlangs.engine.language.encoders.offsets import stored_offsets
+from fruitlangs.engine.language.encoders.offsets import load_offsets
 from fruitlangs.engine.language.encoders.seen import (
     MOST_PIXELS,
     SIDE,
     Skimmed,
     map_size,
-    of_size,
+    resize,
     scales_of,
     see,
     tiles_of,
@@ -176,12 +176,12 @@ def test_outputs_of_an_odd_photo_cover_it_and_nothing_more(encoder: EmbeddedEnco
         view = encoder.encode_fruit(photo, scales)
         assert view.features.shape[:2] == view.offsets.shape[:2] == view.embedding.shape[:2] == size
         with torch.inference_mode():
-            (first, *_) = encoder._at_scales(embedded._pixels(photo), scales, None)
+            (first, *_) = encoder._process_scales(embedded._pixels(photo), scales, None)
         assert first.details.shape[1:] == size
 
 
 def test_a_photo_is_seen_as_its_copy_at_that_size(encoder: EmbeddedEncoder, pixels: torch.Tensor) -> None:
-    smaller = of_size(pixels, 180, 240)
+    smaller = resize(pixels, 180, 240)
     own = see(encoder.network, pixels, 0.7501).details
     assert own.shape[1:] == (90, 120)
     torch.testing.assert_close(own, see(encoder.network, smaller, 1.0).details, atol=1e-4, rtol=0.0)
@@ -189,14 +189,14 @@ def test_a_photo_is_seen_as_its_copy_at_that_size(encoder: EmbeddedEncoder, pixe
 
 def test_a_picture_that_shrinks_is_averaged() -> None:
     stripes = torch.tensor([0.0, 1.0, 0.0, 0.0]).repeat(1, 8, 10)
-    smaller = of_size(stripes, 2, 10)
+    smaller = resize(stripes, 2, 10)
     torch.testing.assert_close(smaller[:, :, 1:-1], torch.full((1, 2, 8), 0.25), atol=0.03, rtol=0.0)
 
 
 def test_only_what_is_close_to_possible_fruit_is_seen_at_full_size(
     encoder: EmbeddedEncoder, pixels: torch.Tensor
 ) -> None:
-    offsets = stored_offsets(encoder.identity)
+    offsets = load_offsets(encoder.identity)
     whole, half = (see(encoder.network, pixels, scale, offsets) for scale in (1.0, 0.5))
     assert whole.offsets is not None
     assert half.offsets is not None
@@ -213,7 +213,7 @@ def test_only_what_is_close_to_possible_fruit_is_seen_at_full_size(
     pairs = (part.details, whole.details, half.details), (part.offsets, whole.offsets, half.offsets)
     for mixed, fine, coarse in pairs:
         torch.testing.assert_close(mixed[near], fine[near], atol=1e-4, rtol=0.0)
-        torch.testing.assert_close(mixed[:, far], of_size(coarse, *size)[:, far], atol=0.0, rtol=0.0)
+        torch.testing.assert_close(mixed[:, far], resize(coarse, *size)[:, far], atol=0.0, rtol=0.0)
 
 
 def test_skimming_a_large_photo_leaves_fruit_as_they_are(
@@ -251,7 +251,7 @@ def test_a_large_photo_without_anything_that_may_be_fruit_has_the_outputs_of_hal
     view = encoder.encode_fruit(grey, (2.0,))
     half = see(encoder.network, torch.full((3, 90, 130), 128 / 255.0), 1.0).details
     channels = encoder.network.head.in_channels
-    expected = of_size(half, 90, 130).permute(1, 2, 0)
+    expected = resize(half, 90, 130).permute(1, 2, 0)
     torch.testing.assert_close(view.embedding[..., :channels], expected, atol=1e-5, rtol=0.0)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fruitlangs.engine.language.masks.crops import LARGEST_SIDE, masked_crops
+from fruitlangs.engine.language.masks.crops import LARGEST_SIDE, crop_masks
 from fruitlangs.engine.language.masks.segments import Segments
 
 
@@ -14,7 +14,7 @@ def test_a_crop_is_the_mask_on_black_in_the_middle_of_a_square():
     labels[0, 1:3, 2:6] = 1
     labels[0, 1, 2] = -1
     labels[1, 5, 7] = 0
-    dot, block = masked_crops(image, Segments(labels, 2))
+    dot, block = crop_masks(image, Segments(labels, 2))
     assert (dot == image[5:, 7:]).all()
     assert block.shape == (4, 4, 3)
     expected = image[1:3, 2:6].copy()
@@ -26,7 +26,7 @@ def test_a_crop_is_the_mask_on_black_in_the_middle_of_a_square():
 def test_a_large_crop_is_shrunk_and_keeps_its_shape_and_colours():
     image = np.full((900, 2000, 3), (200, 100, 50), np.uint8)
     labels = np.zeros((1, 900, 2000), np.int32)
-    (crop,) = masked_crops(image, Segments(labels, 1))
+    (crop,) = crop_masks(image, Segments(labels, 1))
     assert crop.shape == (LARGEST_SIDE, LARGEST_SIDE, 3)
     shown = crop.any(axis=(1, 2))
     assert shown.sum() == round(LARGEST_SIDE * 0.45)
@@ -34,4 +34,4 @@ def test_a_large_crop_is_shrunk_and_keeps_its_shape_and_colours():
 
 
 def test_without_masks_there_are_no_crops():
-    assert list(masked_crops(np.zeros((4, 4, 3), np.uint8), Segments(np.full((3, 4, 4), -1, np.int32), 0))) == []
+    assert list(crop_masks(np.zeros((4, 4, 3), np.uint8), Segments(np.full((3, 4, 4), -1, np.int32), 0))) == []

@@ -9,7 +9,7 @@ from fruitlangs.engine.config import EmbedConfig
 from fruitlangs.engine.language.masks.classical import LEVEL_COUNTS, ClassicalSegmenter
 from fruitlangs.engine.language.masks.regions import RegionGraph
 from fruitlangs.engine.language.masks.segmenter import open_segmenter
-from fruitlangs.engine.language.masks.segments import Segments, numbered
+from fruitlangs.engine.language.masks.segments import Segments, number_masks
 
 RADIUS = 17
 
@@ -92,7 +92,7 @@ def test_a_shaded_side_joins_its_fruit_and_not_the_leaf_of_the_same_shade():
 
 def test_numbers_with_gaps_and_used_twice_become_numbers_of_their_own():
     labels = np.array([[[5, 5, -1]], [[-1, 0, 5]], [[-1, -1, -1]]], np.int32)
-    segments = numbered(labels)
+    segments = number_masks(labels)
     assert segments.labels.tolist() == [[[0, 0, -1]], [[-1, 1, 2]], [[-1, -1, -1]]]
     assert segments.count == 3
 

@@ -10,8 +10,8 @@ from checkpoints import write_clip
 from fruitlangs.engine.errors import Cancelled, SceneError
 from fruitlangs.engine.language.encoders.clip import ClipEncoder
 from fruitlangs.engine.language.masks.classical import ClassicalSegmenter
-from fruitlangs.engine.language.masks.photo_segments import segmented_views
-from fruitlangs.engine.language.masks.segments import Segments, numbered
+from fruitlangs.engine.language.masks.photo_segments import segment_views
+from fruitlangs.engine.language.masks.segments import Segments, number_masks
 from fruitlangs.engine.progress import Progress, silent
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
 
@@ -30,7 +30,7 @@ class Quarters:
         self.asked += 1
         height, width = image.shape[:2]
         down, right = np.mgrid[:height, :width] * 2 // np.array([height, width])[:, None, None]
-        return numbered(np.stack([2 * down + right, right]).astype(np.int32))
+        return number_masks(np.stack([2 * down + right, right]).astype(np.int32))
 
 
 class Nothing(Quarters):
@@ -66,7 +66,7 @@ def scene(views: int = 3, valid: np.ndarray | None = None) -> Scene:
 
 def test_each_mask_has_the_feature_of_its_crop(tmp_path):
     given = scene()
-    views = list(segmented_views(given, Quarters(), MeanColour(), tmp_path))
+    views = list(segment_views(given, Quarters(), MeanColour(), tmp_path))
     assert len(views) == 3
     for view, photo in zip(views, given.images, strict=True):
         assert view.labels.shape == (2, HEIGHT, WIDTH)
@@ -80,8 +80,8 @@ def test_each_mask_has_the_feature_of_its_crop(tmp_path):
 
 def test_what_is_kept_is_not_made_again_and_is_the_same_bits(tmp_path):
     segmenter, encoder = Quarters(), MeanColour()
-    first = list(segmented_views(scene(), segmenter, encoder, tmp_path))
-    again = list(segmented_views(scene(), segmenter, encoder, tmp_path))
+    first = list(segment_views(scene(), segmenter, encoder, tmp_path))
+    again = list(segment_views(scene(), segmenter, encoder, tmp_path))
     assert (segmenter.asked, encoder.seen) == (3, 18)
     for made, read in zip(first, again, strict=True):
         assert (made.labels == read.labels).all()
@@ -92,7 +92,7 @@ def test_what_is_kept_is_not_made_again_and_is_the_same_bits(tmp_path):
 @pytest.mark.parametrize("change", ["photo", "mask", "segmenter", "encoder"])
 def test_another_photo_mask_segmenter_or_encoder_is_made_again(tmp_path, change):
     inner = np.arange(WIDTH) < np.full((HEIGHT, 1), WIDTH - 1)
-    list(segmented_views(scene(1, inner), Quarters(), MeanColour(), tmp_path))
+    list(segment_views(scene(1, inner), Quarters(), MeanColour(), tmp_path))
     given, segmenter, encoder = scene(1, inner), Quarters(), MeanColour()
     if change == "photo":
         given.images[0].array[0, 0] ^= 1
@@ -102,7 +102,7 @@ def test_another_photo_mask_segmenter_or_encoder_is_made_again(tmp_path, change)
         segmenter.identity = "other"
     if change == "encoder":
         encoder.identity = "other"
-    list(segmented_views(given, segmenter, encoder, tmp_path))
+    list(segment_views(given, segmenter, encoder, tmp_path))
     assert encoder.seen == 6
 
 
@@ -114,21 +114,21 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        list(segmented_views(scene(), segmenter, encoder, tmp_path, stop_at_the_third))
+        list(segment_views(scene(), segmenter, encoder, tmp_path, stop_at_the_third))
     assert segmenter.asked == 2
-    list(segmented_views(scene(), segmenter, encoder, tmp_path))
+    list(segment_views(scene(), segmenter, encoder, tmp_path))
     assert segmenter.asked == 3
     assert not list(tmp_path.rglob("*.part*"))
 
 
 def test_a_damaged_view_on_disk_is_made_again(tmp_path):
     segmenter = Quarters()
-    list(segmented_views(scene(1), segmenter, MeanColour(), tmp_path))
+    list(segment_views(scene(1), segmenter, MeanColour(), tmp_path))
     (path,) = tmp_path.rglob("*.safetensors")
     whole = path.read_bytes()
     for damaged in (whole[: len(whole) // 2], b"", whole[:-90] + b"x" * 90):
         path.write_bytes(damaged)
-        list(segmented_views(scene(1), segmenter, MeanColour(), tmp_path))
+        list(segment_views(scene(1), segmenter, MeanColour(), tmp_path))
     assert segmenter.asked == 4
     assert path.read_bytes() == whole
 
@@ -137,7 +137,7 @@ def test_pixels_that_the_photos_mask_excludes_are_in_no_mask_and_no_crop(tmp_pat
     valid = np.zeros((HEIGHT, WIDTH), bool)
     valid[:, : WIDTH // 2] = True
     encoder = MeanColour()
-    (view,) = segmented_views(scene(1, valid), Quarters(), encoder, tmp_path)
+    (view,) = segment_views(scene(1, valid), Quarters(), encoder, tmp_path)
     assert (view.labels[:, ~valid] == -1).all()
     assert (view.labels[:, valid] >= 0).all()
     assert view.vectors.shape == (3, 3)
@@ -149,14 +149,14 @@ def test_a_view_without_masks_is_all_minus_one_and_has_no_vectors(tmp_path, case
     segmenter = Nothing() if case == "no masks" else Quarters()
     given = scene(2, None if case == "no masks" else np.zeros((HEIGHT, WIDTH), bool))
     for _ in range(2):
-        for view in segmented_views(given, segmenter, MeanColour(), tmp_path):
+        for view in segment_views(given, segmenter, MeanColour(), tmp_path):
             assert (view.labels == -1).all()
             assert view.vectors.shape == (0, 3)
 
 
 def test_one_view_is_made_at_a_time(tmp_path):
     segmenter = Quarters()
-    views = segmented_views(scene(), segmenter, MeanColour(), tmp_path)
+    views = segment_views(scene(), segmenter, MeanColour(), tmp_path)
     next(views)
     assert segmenter.asked == 1
 
@@ -165,13 +165,13 @@ def test_a_photo_of_another_size_than_its_camera_is_an_error(tmp_path):
     given = scene(1)
     given.images[0] = ArrayPhoto("7.png", np.zeros((HEIGHT, WIDTH + 1, 3), np.uint8))
     with pytest.raises(SceneError, match=r"7\.png has 41×30 pixels, its camera 40×30"):
-        list(segmented_views(given, Quarters(), MeanColour(), tmp_path))
+        list(segment_views(given, Quarters(), MeanColour(), tmp_path))
 
 
 def test_progress_rises_to_one_within_and_between_views(tmp_path, monkeypatch):
     monkeypatch.setattr("fruitlangs.engine.language.masks.photo_segments.BATCH", 2)
     told: list[float] = []
-    list(segmented_views(scene(2), Quarters(), MeanColour(), tmp_path, lambda fraction, _: told.append(fraction)))
+    list(segment_views(scene(2), Quarters(), MeanColour(), tmp_path, lambda fraction, _: told.append(fraction)))
     assert told == sorted(told)
     assert told[-1] == 1.0
     assert len(told) == 2 * (1 + 3) + 1
@@ -179,9 +179,9 @@ def test_progress_rises_to_one_within_and_between_views(tmp_path, monkeypatch):
 
 def test_the_whole_crop_pipeline_runs_on_a_checkpoint_from_disk(tmp_path):
     encoder = ClipEncoder.open(str(write_clip(tmp_path / "tiny")))
-    (view,) = segmented_views(scene(1), ClassicalSegmenter(), encoder, tmp_path / "cache")
+    (view,) = segment_views(scene(1), ClassicalSegmenter(), encoder, tmp_path / "cache")
     assert view.labels.max() + 1 == len(view.vectors) > 3
     assert torch.allclose(view.vectors.norm(dim=1), torch.ones(len(view.vectors)))
     unlike = ClipEncoder.open(str(write_clip(tmp_path / "other", seed=1)))
-    (other,) = segmented_views(scene(1), ClassicalSegmenter(), unlike, tmp_path / "cache")
+    (other,) = segment_views(scene(1), ClassicalSegmenter(), unlike, tmp_path / "cache")
     assert not torch.allclose(view.vectors, other.vectors)

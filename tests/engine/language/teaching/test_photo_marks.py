@@ -16,12 +16,12 @@ from fruitlangs.engine.errors import FormatError, SceneError, VocabularyError
 from fruitlangs.engine.language.teaching.lesson import Mark
 from fruitlangs.engine.language.teaching.photo_marks import (
     Click,
+    find_photo,
+    locate_pixel,
     marks_of_boxes,
     marks_of_clicks,
     marks_of_masks,
-    photo_named,
     ray_through,
-    seen_at,
 )
 from fruitlangs.engine.language.teaching.region import Ground
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
@@ -106,7 +106,7 @@ def test_what_is_spelled_otherwise_is_refused(text: str) -> None:
 )
 def test_a_photo_is_found_by_its_name_its_file_or_its_file_without_suffix(name: str, view: int) -> None:
     scene = scene_of("a/IMG_1.jpg", "b/IMG_1.jpg", "a/IMG_2.png", "IMG_3", "c/IMG_3.jpg")
-    assert photo_named(scene, name) == view
+    assert find_photo(scene, name) == view
 
 
 @pytest.mark.parametrize(
@@ -116,12 +116,12 @@ def test_a_photo_is_found_by_its_name_its_file_or_its_file_without_suffix(name: 
 )  # fmt: skip
 def test_a_photo_that_is_missing_or_not_the_only_one_is_refused(name: str, said: str) -> None:
     with pytest.raises(SceneError, match=said):
-        photo_named(scene_of("a/IMG_1.jpg", "b/IMG_1.jpg", "a/IMG_2.png"), name)
+        find_photo(scene_of("a/IMG_1.jpg", "b/IMG_1.jpg", "a/IMG_2.png"), name)
 
 
 def test_a_result_without_its_photos_says_where_they_belong() -> None:
     with pytest.raises(SceneError, match="Put them back"):
-        photo_named(replace(scene_of("a.jpg"), images=[]), "a.jpg")
+        find_photo(replace(scene_of("a.jpg"), images=[]), "a.jpg")
 
 
 def clicked(balls: Balls, *places: str, scene: Scene | None = None) -> list[Mark]:
@@ -158,7 +158,7 @@ def test_pixels_are_those_of_the_photo_and_not_of_its_camera(balls: Balls) -> No
     scene = scene_of("large.jpg", size=(2 * SIDE, 4 * SIDE))
     marks = clicked(balls, "large:32,128", "large:96,128", scene=scene)
     assert balls.shown(marks) == [{"left"}, {"right"}]
-    assert seen_at(scene.images[0], scene.cameras[0], 32.0, 128.0) == (16.0, 32.0)
+    assert locate_pixel(scene.images[0], scene.cameras[0], 32.0, 128.0) == (16.0, 32.0)
 
 
 @pytest.mark.parametrize("place", ["65,32", "32,65", "-1,32", "32,-0.5"])
@@ -198,18 +198,18 @@ def test_a_click_in_a_file_is_in_pixels_of_the_file_as_it_was_calibrated(tmp_pat
     lens = Lens("PINHOLE", (200.0, 200.0, 128.0, 64.0), 256, 128)
     for turn in (None, Image.Transpose.ROTATE_90):
         scene = file_scene(tmp_path, lens, SIDE, SIDE // 2, turn)
-        assert seen_at(scene.images[0], scene.cameras[0], 200.0, 100.0) == (50.0, 25.0)
+        assert locate_pixel(scene.images[0], scene.cameras[0], 200.0, 100.0) == (50.0, 25.0)
         with pytest.raises(SceneError, match="256x128 pixels"):
-            seen_at(scene.images[0], scene.cameras[0], 100.0, 200.0)
+            locate_pixel(scene.images[0], scene.cameras[0], 100.0, 200.0)
 
 
 def test_a_click_in_a_distorted_photo_lands_where_the_camera_sees_it(tmp_path: Path) -> None:
     lens = Lens("SIMPLE_RADIAL", (80.0, 64.0, 64.0, -0.3), 128, 128)
     scene = file_scene(tmp_path, lens, SIDE, SIDE)
-    assert seen_at(scene.images[0], scene.cameras[0], 64.0, 64.0) == pytest.approx((32.0, 32.0), abs=0.6)
+    assert locate_pixel(scene.images[0], scene.cameras[0], 64.0, 64.0) == pytest.approx((32.0, 32.0), abs=0.6)
     ray = np.array([[0.4, 0.2, 1.0]])
     x, y = lens.project(ray)[0]
-    u, v = seen_at(scene.images[0], scene.cameras[0], float(x), float(y))
+    u, v = locate_pixel(scene.images[0], scene.cameras[0], float(x), float(y))
     assert (u, v) == pytest.approx((32.0 + 40.0 * 0.4, 32.0 + 40.0 * 0.2), abs=1.0)
     assert abs(x / 2.0 - u) > 0.9  # it would be somewhere else without the distortion
 

@@ -18,7 +18,7 @@ from fruitlangs.engine.language.taught import word as word_module
 from fruitlangs.engine.language.taught.library import Library, word_file
 from fruitlangs.engine.language.taught.name import word_name
 from fruitlangs.engine.language.taught.word import TENSORS, TaughtWord, read_word, save_word
-from fruitlangs.engine.language.vocabulary import FRUIT_COLOURS, FRUITS, parse, taught_name
+from fruitlangs.engine.language.vocabulary import FRUIT_COLOURS, FRUITS, find_taught_name, parse
 from fruitlangs.engine.storage.files import read_tensors, write_tensors
 
 FIG, RED_FIG, LEAF = feature_of("purple", plum=0.5), feature_of("red", plum=0.5), feature_of("green", leaf=0.9)
@@ -432,7 +432,7 @@ def test_clip_asks_a_taught_word_where_the_prompt_says_nothing_else(fig: TaughtW
     assert isinstance(question, TaughtQuestion)
     assert question.word is fig
     assert encoder.meaning("FIGS") == encoder.meaning("fig")
-    assert taught_name("red fig", ["fig"]) == ""
+    assert find_taught_name("red fig", ["fig"]) == ""
 
 
 def test_colours_choose_among_fruit_of_a_taught_word(fig: TaughtWord) -> None:

@@ -158,7 +158,7 @@ def taught(ground: Ground, features: Features, *marks: Mark, start: TaughtWord |
 
 
 def click(ground: Ground, *place: float, positive: bool = True, name: str = "IMG_1.jpg:5,6") -> Mark:
-    return Mark(positive, name, ground.around(np.array(place)), torch.full((64, 64, 3), 200, dtype=torch.uint8))
+    return Mark(positive, name, ground.grow_region(np.array(place)), torch.full((64, 64, 3), 200, dtype=torch.uint8))
 
 
 def test_a_click_on_one_fruit_teaches_a_prompt_that_finds_the_others() -> None:
@@ -292,9 +292,9 @@ def test_only_gaussians_that_photos_show_are_taught_from() -> None:
 
 def test_a_click_shows_alike_gaussians_that_hang_together_and_no_others() -> None:
     ground, _ = orchard()
-    near = ground.around(np.array([0.0, 0.0, 0.0]))
+    near = ground.grow_region(np.array([0.0, 0.0, 0.0]))
     assert sorted(near.tolist()) == list(range(60))
-    on_wall = ground.around(np.array([0.5, 0.0, 0.2]))
+    on_wall = ground.grow_region(np.array([0.5, 0.0, 0.2]))
     assert on_wall.min() >= 120
     assert len(on_wall) == MOST
 
@@ -305,19 +305,19 @@ def test_a_click_does_not_show_the_leaves_that_touch_a_fruit() -> None:
     means[80:, 0] += 9.0
     evidence = np.concatenate([cluster(each, 40, 2, 0.05) for each in (FIGS, LEAVES, SOIL)])
     ground = Ground.of(means, features_with(torch.stack([feature_of("red")] * 120), torch.from_numpy(evidence)))
-    assert sorted(ground.around(np.zeros(3)).tolist()) == list(range(40))
-    assert sorted(ground.around(np.array([0.6, 0.0, 0.0])).tolist()) == list(range(40, 80))
+    assert sorted(ground.grow_region(np.zeros(3)).tolist()) == list(range(40))
+    assert sorted(ground.grow_region(np.array([0.6, 0.0, 0.0])).tolist()) == list(range(40, 80))
 
 
 def test_alike_gaussians_of_a_fruit_further_off_are_not_shown() -> None:
     ground, _ = orchard(figs=20)
-    assert sorted(ground.around(np.array([1.0, 0.0, 0.0])).tolist()) == list(range(20, 40))
+    assert sorted(ground.grow_region(np.array([1.0, 0.0, 0.0])).tolist()) == list(range(20, 40))
 
 
 def test_a_click_shows_the_nearest_gaussians_first_and_no_more_than_it_may() -> None:
     ground, _ = orchard(figs=300)
     place = np.array([0.01, 0.0, 0.0])
-    found = ground.around(place)
+    found = ground.grow_region(place)
     away = np.linalg.norm(ground.means[found] - place, axis=1)
     assert (np.diff(away) >= 0.0).all()
     assert len(found) == MOST
@@ -326,14 +326,14 @@ def test_a_click_shows_the_nearest_gaussians_first_and_no_more_than_it_may() -> 
 def test_a_scene_of_few_gaussians_is_shown_as_a_whole() -> None:
     means = torch.tensor([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
     ground = Ground.of(means, features_with(torch.stack([feature_of("red")] * 2), torch.zeros(2, 3)))
-    assert ground.around(np.zeros(3)).tolist() == [0, 1]
+    assert ground.grow_region(np.zeros(3)).tolist() == [0, 1]
 
 
 def test_the_background_is_a_sample_of_the_scene_by_its_pixels() -> None:
     ground, features = orchard(figs=500, wall=9000)
     weights = features.weights.clone()
     weights[:1000] = 1e4
-    background = Ground.of(torch.from_numpy(ground.means), replace(features, weights=weights)).background(
+    background = Ground.of(torch.from_numpy(ground.means), replace(features, weights=weights)).sample_background(
         np.arange(10_000.0)
     )
     assert len(background.vectors) == SAMPLE
