@@ -14,7 +14,7 @@ from .language.features.embedder import Embedder
 from .language.prompts.selection import select
 from .publishing import Result
 from .reconstruction import Reconstruction, reopen
-from .report.results import FRUITS_JSON, near_members, stored_count
+from .report.results import FRUITS_JSON, find_near_members, parse_count
 from .report.selection import SELECTION, Selection, read_selection
 from .result_folder import ResultFolder
 from .training import RunLog
@@ -53,7 +53,7 @@ def open_result(folder: Path) -> Result:
     made = reopen(results, document, stored, log, cache=results.cache)
     try:
         selection = _selection(folder, document, made, stored, log)
-        counted = stored_count(document, selection.fruit_ids)
+        counted = parse_count(document, selection.fruit_ids)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{folder / FRUITS_JSON} is damaged ({error}). Count again into this folder") from error
     return Result(
@@ -90,4 +90,4 @@ def _selection(
     except EncoderError as error:
         log.notices.append(f"the match of the prompt is not shown: {error}")
         probability = torch.zeros(len(means))
-    return Selection(probability, near_members(document, means.double().numpy()))
+    return Selection(probability, find_near_members(document, means.double().numpy()))

@@ -28,7 +28,7 @@ from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
 from .reconstruction import Reconstruction, reconstruct, reopen, with_fitting_photos
-from .report.results import known_fruit
+from .report.results import parse_known_fruit
 from .result_folder import ResultFolder
 from .scale import scaled
 from .scene.source import Source
@@ -276,7 +276,7 @@ def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
     """Fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
     for folder in map(ResultFolder, (out, source)):
         with suppress(FruitLangsError):
-            known = known_fruit(folder.read(verify=False), made.origin["inputs_sha256"])
+            known = parse_known_fruit(folder.read(verify=False), made.origin["inputs_sha256"])
             if known.last:
                 return known
     return NO_FRUIT

@@ -110,7 +110,7 @@ def main() -> None:
         raise ConfigError('No prompt is given. Add what to count, for example --prompt apple or --prompt "red apple".')
     from fruitlangs.engine.pipeline import count_scene
     from fruitlangs.engine.report.tables import summary
-    from fruitlangs.engine.report.words import scale_text, trained_text
+    from fruitlangs.engine.report.words import scale_text, training_text
 
     result = count_scene(
         arguments.source,
@@ -143,7 +143,7 @@ def main() -> None:
     training = result.origin["training"]
     if training["psnr"] is not None:
         quality = f"PSNR {training['psnr']:.2f} dB, SSIM {training['ssim']:.3f}"
-        print(f"  held-out photos: {quality}{trained_text(training)}")
+        print(f"  held-out photos: {quality}{training_text(training)}")
     if result.reused:
         print(f"  reused from an earlier run: {', '.join(result.reused)}")
     for notice in result.notices:

@@ -55,10 +55,12 @@ def outline_points(center: FloatArray, axes: FloatArray, corners: int) -> FloatA
 
 def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> list[Ellipse]:
     """The outlines of the fruit whose centres lie in the camera's picture, nearest first."""
-    found = [(fruit, shape) for fruit in fruits if (shape := projected(fruit.center, fruit.axes, camera)) is not None]
+    found = [
+        (fruit, shape) for fruit in fruits if (shape := project_ellipsoid(fruit.center, fruit.axes, camera)) is not None
+    ]
     if not found:
         return []
-    shares = shown(gaussians, [fruit for fruit, _ in found], camera)
+    shares = measure_visibility(gaussians, [fruit for fruit, _ in found], camera)
     outlines = [
         Ellipse(fruit.id, center, axes, float(camera.project(fruit.center)[1]), float(share))
         for (fruit, (center, axes)), share in zip(found, shares, strict=True)
@@ -66,8 +68,8 @@ def ellipses(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> l
     return sorted(outlines, key=lambda outline: (outline.depth, outline.id))
 
 
-def shown(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> FloatArray:
-    """(F,) the unobstructed share of each fruit in the camera; 0 if half of it is outside the picture."""
+def measure_visibility(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> FloatArray:
+    """Measure the unobstructed share (F,) of each fruit in the camera; 0 if half of it is outside the picture."""
     view_evidence = gather_view_evidence(
         draw(gaussians, np.zeros(len(gaussians)), [camera]),
         np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3),
@@ -77,8 +79,8 @@ def shown(gaussians: Gaussians, fruits: Sequence[Fruit], camera: Camera) -> Floa
     return np.nan_to_num(view_evidence.visible_fractions)
 
 
-def projected(center: FloatArray, axes: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
-    """(2,) centre and (2, 2) half axes, px, of the outline of an ellipsoid.
+def project_ellipsoid(center: FloatArray, axes: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
+    """Project an ellipsoid: (2,) centre and (2, 2) half axes, px, of its outline.
 
     axes: (3, 3), rows are its half axes in scene units.
 

@@ -12,7 +12,7 @@ from ..counting.fruit import Fruit
 from ..scene.camera import Camera, Scene, look_along
 from ..splatting.gaussians import Gaussians
 from ..splatting.subject.viewpoints import LEAST_OPACITY, find_subject
-from .ellipses import HIDDEN_BELOW, shown
+from .ellipses import HIDDEN_BELOW, measure_visibility
 
 FloatArray = NDArray[np.float64]
 
@@ -43,34 +43,35 @@ _EDGES = 0.002
 """Share of the tree's Gaussians that may lie beyond each edge, so that strays do not make the tree small."""
 
 
-def framing(
+def frame_tree(
     scene: Scene, gaussians: Gaussians, fruits: Sequence[Fruit], *, width: int = 1600, height: int = 1200
 ) -> Camera:
-    """A level camera of (height, width) pixels that shows the tree and all its fruit.
+    """Return a level camera of (height, width) pixels that shows the tree and all its fruit.
 
     It stands where a photo was taken, or a little behind if the tree does not fit, and its lens fills the picture. Of
     some photos from different sides, it is the one that shows most unobstructed fruit. Without cameras it looks from a
     side. The same input gives the same camera.
     """
-    held, radii = _held(gaussians, fruits)
+    held, radii = _collect_spheres(gaussians, fruits)
     if scene.cameras:
-        chosen = _apart([camera.forward for camera in scene.cameras])
-        framed = [_at_photo(scene.cameras[index], scene.up, held, radii, width, height) for index in chosen]
+        chosen = _choose_apart([camera.forward for camera in scene.cameras])
+        framed = [_place_at_photo(scene.cameras[index], scene.up, held, radii, width, height) for index in chosen]
     else:
         sides = _sides(scene.up)
-        framed = [_filled(sides[index], scene.up, held, radii, width, height) for index in _apart(sides)]
+        framed = [_fill_picture(sides[index], scene.up, held, radii, width, height) for index in _choose_apart(sides)]
     if len(framed) == 1 or not fruits:
         return framed[0]
     factor = min(TRIED_WIDTH / width, 1.0)
     scores = []
     for camera in framed:
-        shares = shown(gaussians, fruits, camera.scale(factor))
+        shares = measure_visibility(gaussians, fruits, camera.scale(factor))
         scores.append((int((shares >= HIDDEN_BELOW).sum()), float(shares.sum())))
     return framed[max(range(len(framed)), key=scores.__getitem__)]
 
 
-def _held(gaussians: Gaussians, fruits: Sequence[Fruit]) -> tuple[FloatArray, FloatArray]:
-    """(P, 3) and (P,) centres and radii of spheres that must be in the picture: the fruit, and the tree's Gaussians."""
+def _collect_spheres(gaussians: Gaussians, fruits: Sequence[Fruit]) -> tuple[FloatArray, FloatArray]:
+    """Collect centres (P, 3) and radii (P,) of spheres that must be in the picture: the fruit, and the tree's
+    Gaussians."""
     centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 3)
     radii = np.array([fruit.lengths.max() / 2.0 for fruit in fruits], np.float64)
     if not len(gaussians):
@@ -98,8 +99,9 @@ def _sides(up: FloatArray) -> list[FloatArray]:
     return [math.cos(rise) * (math.cos(turn) * side + math.sin(turn) * ahead) - math.sin(rise) * up for turn in turns]
 
 
-def _apart(directions: Sequence[FloatArray]) -> list[int]:
-    """Indices of at most TRIED of the directions: the first, then always the one farthest from those chosen."""
+def _choose_apart(directions: Sequence[FloatArray]) -> list[int]:
+    """Choose the indices of at most TRIED of the directions: the first, then always the one farthest from those
+    chosen."""
     rows = np.stack(directions)
     taken = [0]
     nearest = rows @ rows[0]
@@ -109,9 +111,11 @@ def _apart(directions: Sequence[FloatArray]) -> list[int]:
     return taken
 
 
-def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int) -> Camera:
-    """The camera at the position of a photo, or as little behind as needed, whose lens shows all the spheres."""
-    turn = _turned(photo.forward, up)
+def _place_at_photo(
+    photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int
+) -> Camera:
+    """Place the camera at the position of a photo, or as little behind as needed, whose lens shows all the spheres."""
+    turn = _rotate_to_level(photo.forward, up)
     distance = float(np.median((centers - photo.center) @ photo.forward))
     for step in STEPS_BACK:
         place = photo.center - step * max(distance, 0.0) * photo.forward
@@ -131,24 +135,24 @@ def _at_photo(photo: Camera, up: FloatArray, centers: FloatArray, radii: FloatAr
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, -turn @ place
         return Camera(K=K, world_to_camera=pose, width=width, height=height)
-    return _filled(photo.forward, up, centers, radii, width, height)
+    return _fill_picture(photo.forward, up, centers, radii, width, height)
 
 
-def _turned(direction: FloatArray, up: FloatArray) -> FloatArray:
-    """(3, 3) rotation from the scene into a level camera that looks in `direction`."""
+def _rotate_to_level(direction: FloatArray, up: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) from the scene into a level camera that looks in `direction`."""
     level = up if abs(float(direction @ up)) < _STEEP else np.eye(3)[np.argmin(np.abs(direction))]
     return look_along(np.zeros(3), direction, level)[:3, :3]
 
 
-def _filled(
+def _fill_picture(
     direction: FloatArray, up: FloatArray, centers: FloatArray, radii: FloatArray, width: int, height: int
 ) -> Camera:
-    """The camera that looks in `direction` from as near as all the spheres allow."""
-    turn = _turned(direction, up)
+    """Return the camera that looks in `direction` from as near as all the spheres allow."""
+    turn = _rotate_to_level(direction, up)
     focal = 0.5 * min(width, height) / math.tan(math.radians(VIEW_ANGLE) / 2.0)
     points = centers @ turn.T
-    x, width_depth = _between(points[:, 0], points[:, 2], radii, (1.0 - MARGIN) * width / 2.0 / focal)
-    y, height_depth = _between(points[:, 1], points[:, 2], radii, (1.0 - MARGIN) * height / 2.0 / focal)
+    x, width_depth = _fit_wedge(points[:, 0], points[:, 2], radii, (1.0 - MARGIN) * width / 2.0 / focal)
+    y, height_depth = _fit_wedge(points[:, 1], points[:, 2], radii, (1.0 - MARGIN) * height / 2.0 / focal)
     place = np.array([x, y, min(width_depth, height_depth)]) @ turn
     K = np.array([[focal, 0.0, width / 2.0], [0.0, focal, height / 2.0], [0.0, 0.0, 1.0]])
     pose = np.eye(4)
@@ -156,8 +160,9 @@ def _filled(
     return Camera(K=K, world_to_camera=pose, width=width, height=height)
 
 
-def _between(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: float) -> tuple[float, float]:
-    """The edge (a, d), d as large as possible, of a wedge |across - a| ≤ slope · (depth - d) that contains all spheres.
+def _fit_wedge(across: FloatArray, depths: FloatArray, radii: FloatArray, slope: float) -> tuple[float, float]:
+    """Return the edge (a, d), d as large as possible, of a wedge |across - a| ≤ slope · (depth - d) that contains all
+    spheres.
 
     A sphere lies behind a side of the wedge if its centre does by radius · √(1 + slope²).
     """

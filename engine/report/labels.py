@@ -55,10 +55,10 @@ def place_labels(
     full = np.asarray(taken, np.float64).reshape(-1, 4)
     labels = []
     for index, (center, reach, size) in enumerate(zip(centers, reaches, sizes, strict=True)):
-        boxes, rings = _tried(center, reach, size / 2.0, ways, unit)
+        boxes, rings = _try_boxes(center, reach, size / 2.0, ways, unit)
         free = (boxes[:, :2] >= 0.0).all(1) & (boxes[:, 2] <= width) & (boxes[:, 3] <= height)
-        free &= ~(_shared(boxes, full) > 0.0).any(1)
-        covered = _shared(boxes, np.delete(things, index, axis=0)).sum(1) / np.prod(size)
+        free &= ~(_measure_overlap(boxes, full) > 0.0).any(1)
+        covered = _measure_overlap(boxes, np.delete(things, index, axis=0)).sum(1) / np.prod(size)
         if crowded:
             free &= (rings == 0) & (covered == 0.0)
         if not free.any():
@@ -70,10 +70,10 @@ def place_labels(
     return labels
 
 
-def _tried(
+def _try_boxes(
     center: FloatArray, reach: FloatArray, half: FloatArray, ways: FloatArray, unit: float
 ) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(R·T, 4) boxes around an object and the ring (R·T,) of each."""
+    """Return the boxes (R·T, 4) around an object to try and the ring (R·T,) of each."""
     gaps = np.array(RINGS) * unit + unit
     # The ellipse of the object and the box of the text: diagonally they can be closer than two boxes.
     around = 1.0 / np.linalg.norm(ways / reach, axis=1)
@@ -84,8 +84,8 @@ def _tried(
     return np.hstack([middles - half, middles + half]), np.repeat(np.arange(len(RINGS)), len(ways))
 
 
-def _shared(boxes: FloatArray, others: FloatArray) -> FloatArray:
-    """(A, B) px² that boxes (A, 4) and others (B, 4) have in common."""
+def _measure_overlap(boxes: FloatArray, others: FloatArray) -> FloatArray:
+    """Measure the area (A, B), px², that boxes (A, 4) and others (B, 4) have in common."""
     low = np.maximum(boxes[:, None, :2], others[None, :, :2])
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     return np.prod(np.maximum(high - low, 0.0), axis=2)

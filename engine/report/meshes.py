@@ -51,7 +51,7 @@ class _Meshes:
 def _meshes(fruits: Sequence[Fruit], scale: float, up: FloatArray | None) -> _Meshes:
     """The ellipsoids of the fruit, `scale` times as large as in scene units; y is up if `up` is given."""
     ball = trimesh.creation.icosphere(subdivisions=_FINENESS)
-    turn = _turned(up)[:3, :3].T
+    turn = _rotate_up(up)[:3, :3].T
     points = np.asarray(ball.vertices, np.float64)
     axes = np.array([fruit.axes for fruit in fruits], np.float64).reshape(-1, 3, 3) @ turn
     centers = np.array([fruit.center for fruit in fruits], np.float64).reshape(-1, 1, 3) @ turn
@@ -61,8 +61,8 @@ def _meshes(fruits: Sequence[Fruit], scale: float, up: FloatArray | None) -> _Me
     return _Meshes(scale * (centers + points @ axes), normals, np.asarray(ball.faces, np.int64))
 
 
-def _turned(up: FloatArray | None) -> FloatArray:
-    """(4, 4) rotation that takes `up` to y; the identity without it."""
+def _rotate_up(up: FloatArray | None) -> FloatArray:
+    """Return the rotation (4, 4) that takes `up` to y; the identity without it."""
     return np.eye(4) if up is None else trimesh.geometry.align_vectors(up, [0.0, 1.0, 0.0])
 
 
@@ -72,7 +72,7 @@ def write_glb(
     """One named ellipsoid per fruit with its properties as glTF extras; `unit` is the unit of all lengths."""
     scene = trimesh.Scene()
     unit, scale = file_unit(metres_per_unit)
-    rotation = _turned(up)
+    rotation = _rotate_up(up)
     for fruit in fruit_count.fruits:
         mesh = trimesh.creation.icosphere(subdivisions=_FINENESS)
         mesh.vertices = mesh.vertices @ (scale * fruit.axes)
@@ -121,7 +121,7 @@ def write_obj(
     unit, scale = file_unit(metres_per_unit)
     materials = path.with_suffix(".mtl")
     meshes = _meshes(fruit_count.fruits, scale, up)
-    lines = [*_about(fruit_count, unit, up, "# "), f"mtllib {materials.name}"]
+    lines = [*_make_header(fruit_count, unit, up, "# "), f"mtllib {materials.name}"]
     for index, fruit in enumerate(fruit_count.fruits):
         first = 1 + index * meshes.vertices.shape[1]
         lines += [f"o {_obj_name(fruit)}", f"usemtl {_material(fruit)}", "s 1"]
@@ -146,8 +146,8 @@ def _material(fruit: Fruit) -> str:
     return f"fruit_{fruit.id:04d}"
 
 
-def _about(fruit_count: FruitCount, unit: str, up: FloatArray | None, mark: str = "") -> list[str]:
-    """The header: what programs and people need to know about the numbers that follow."""
+def _make_header(fruit_count: FruitCount, unit: str, up: FloatArray | None, mark: str = "") -> list[str]:
+    """Make the header: what programs and people need to know about the numbers that follow."""
     frame = "the frame of the scene" if up is None else "y is up"
     return [f"{mark}FruitLangs: {fruit_count.count} fruit", f"{mark}unit: {unit}", f"{mark}axes: {frame}"]
 
@@ -172,7 +172,7 @@ def write_fruit_meshes_ply(
     faces["fruit_id"] = np.repeat(ids, len(meshes.faces))
     elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
     with replacing(path) as temporary:
-        PlyData(elements, byte_order="<", comments=_about(fruit_count, unit, up)).write(str(temporary))
+        PlyData(elements, byte_order="<", comments=_make_header(fruit_count, unit, up)).write(str(temporary))
 
 
 def write_points_ply(path: Path, fruit_count: FruitCount) -> None:

@@ -16,8 +16,8 @@ from ..counting.regions.row import nearest_tree
 from ..progress import Progress, part, silent
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
-from .framing import framing
-from .still import draw_still, titled
+from .framing import frame_tree
+from .still import add_title, draw_still
 from .words import headline
 
 COLUMNS = 2
@@ -44,7 +44,7 @@ def draw_count(
     if len(fruit_count.trees) > 1:
         pictures = _trees(scene, gaussians, fruit_count, width // COLUMNS, progress)
         shown = f", trees 1–{MOST} of {len(fruit_count.trees)}" if len(fruit_count.trees) > MOST else ""
-        return titled(_sheet(pictures), title + shown)
+        return add_title(_sheet(pictures), title + shown)
     progress(0.0, "looking for the best view")
     camera = _framing(scene, gaussians, fruit_count.fruits, width)
     drawing = part(progress, 0.5, 1.0)
@@ -63,7 +63,7 @@ def _trees(
     for index, tree in enumerate(drawn):
         progress(index / len(drawn), f"drawing tree {index + 1} of {len(drawn)}")
         fruits = [fruit for fruit in fruit_count.fruits if fruit.tree == tree.number]
-        looking = dataclasses.replace(scene, cameras=_looking_at(tree.position, scene.cameras))
+        looking = dataclasses.replace(scene, cameras=_select_looking_at(tree.position, scene.cameras))
         own = gaussians.select(owners == index)
         camera = _framing(looking, own if len(own) else gaussians, fruits, width)
         text, scale = headline(tree, f"tree {tree.number}"), scene.metres_per_unit
@@ -72,11 +72,11 @@ def _trees(
 
 
 def _framing(scene: Scene, gaussians: Gaussians, fruits: Sequence[Fruit], width: int) -> Camera:
-    return framing(scene, gaussians, fruits, width=width, height=round(0.75 * width))
+    return frame_tree(scene, gaussians, fruits, width=width, height=round(0.75 * width))
 
 
-def _looking_at(place: NDArray[np.float64], cameras: Sequence[Camera]) -> list[Camera]:
-    """Those of the cameras that look most directly at a place (3,)."""
+def _select_looking_at(place: NDArray[np.float64], cameras: Sequence[Camera]) -> list[Camera]:
+    """Select those of the cameras that look most directly at a place (3,)."""
     rays = place - np.array([camera.center for camera in cameras]).reshape(-1, 3)
     ahead = np.einsum("vi,vi->v", rays, np.array([camera.forward for camera in cameras]).reshape(-1, 3))
     off = np.argsort(-ahead / np.maximum(np.linalg.norm(rays, axis=1), 1e-12), kind="stable")

@@ -20,7 +20,7 @@ from .meshes import id_color
 from .provenance import versions
 from .still import jpeg
 from .tables import fruit_cells, fruit_heads, size_lines
-from .words import audit_reason, count_text, length_unit, location_text, nothing_found
+from .words import audit_reason, count_text, explain_nothing_found, length_unit, location_text
 
 _STRIP_WIDTH = 1600
 """Width in pixels of a strip on the page; wider ones are scaled down."""
@@ -75,7 +75,7 @@ def write_page(
         notices=notices,
         facts=[*location_text(fruit_count), *size_lines(fruit_count, metres_per_unit)] if fruit_count.fruits else [],
         reviewed=reviewed,
-        still=None if still is None else _embedded(still),
+        still=None if still is None else _embed(still),
         trees=[_tree_row(tree) for tree in fruit_count.trees],
         histogram=drawing(histogram(sizes), axis=axis) if fruit_count.fruits else None,
         heads=fruit_heads(metres_per_unit),
@@ -104,7 +104,7 @@ def _zero(fruit_count: FruitCount, provenance: Mapping[str, Any], metres_per_uni
     if threshold is None:
         largest = sorted(fruit_count.audit, key=lambda entry: -entry.points)[:REASONS]
         return "; ".join(audit_reason(entry, metres_per_unit) for entry in largest) or "no fruit was found"
-    return nothing_found(fruit_count, threshold, metres_per_unit)
+    return explain_nothing_found(fruit_count, threshold, metres_per_unit)
 
 
 def _tree_row(tree: Tree) -> dict[str, Any]:
@@ -126,8 +126,8 @@ def _row(fruit: Fruit, metres_per_unit: float | None) -> dict[str, Any]:
     return {"id": fruit.id, "label": fruit.label, "kind": KIND_TEXTS[fruit.kind], "color": color, "cells": cells}
 
 
-def _embedded(picture: Image.Image) -> str:
-    """The picture as a data URL."""
+def _embed(picture: Image.Image) -> str:
+    """Return the picture as a data URL."""
     return "data:image/jpeg;base64," + base64.b64encode(jpeg(picture)).decode("ascii")
 
 
@@ -139,7 +139,7 @@ def _strip(path: Path) -> str:
         raise OutputError(f"The picture {path} cannot be read ({error}). Leave it out or count again") from error
     if picture.width > _STRIP_WIDTH:
         picture = picture.resize((_STRIP_WIDTH, round(picture.height * _STRIP_WIDTH / picture.width)))
-    return _embedded(picture)
+    return _embed(picture)
 
 
 def _flat(given: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:

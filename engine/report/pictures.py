@@ -16,9 +16,9 @@ from ..language.features.features import Features
 from ..scene.camera import Camera, Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
-from .ellipses import outline_points, projected
+from .ellipses import outline_points, project_ellipsoid
 from .meshes import id_color
-from .words import length_unit, three_digits
+from .words import format_three_digits, length_unit
 
 _CIVIDIS = np.array(
     [[0, 34, 78], [18, 53, 112], [59, 73, 108], [87, 93, 109], [112, 113, 115]]
@@ -69,14 +69,14 @@ def view_strip(
             _bytes(drawn.color.detach().numpy()), drawn.depth.detach().numpy(), camera, fruit_count.fruits
         ),
     }
-    return side_by_side(panels)
+    return join_side_by_side(panels)
 
 
 def _fruit_title(fruit_count: FruitCount, metres_per_unit: float | None) -> str:
     if fruit_count.mean_diameter is None or metres_per_unit is None:
         return "fruit"
     unit, scale = length_unit(metres_per_unit)
-    return f"fruit, mean diameter {three_digits(fruit_count.mean_diameter * scale)} {unit}"
+    return f"fruit, mean diameter {format_three_digits(fruit_count.mean_diameter * scale)} {unit}"
 
 
 def strip_views(scene: Scene, number: int = 4) -> list[int]:
@@ -124,7 +124,7 @@ def _draw_ids(
     font = ImageFont.load_default(size=10)
     for fruit in fruits:
         (u, v), z = camera.project(fruit.center)
-        shape = projected(fruit.center, fruit.axes, camera)
+        shape = project_ellipsoid(fruit.center, fruit.axes, camera)
         if z <= fruit.diameter or shape is None or depth[int(v), int(u)] < z - 1.5 * fruit.diameter:
             continue
         corners = outline_points(*shape, 32)
@@ -133,8 +133,8 @@ def _draw_ids(
     return np.asarray(image)
 
 
-def side_by_side(panels: Mapping[str, NDArray[np.uint8]]) -> Image.Image:
-    """Pictures (H, W, 3) of one size next to each other, by their titles."""
+def join_side_by_side(panels: Mapping[str, NDArray[np.uint8]]) -> Image.Image:
+    """Join pictures (H, W, 3) of one size next to each other, by their titles."""
     height, width = next(iter(panels.values())).shape[:2]
     gap = 4
     strip = Image.new("RGB", (len(panels) * (width + gap) - gap, height + _TITLE_HEIGHT), (255, 255, 255))

@@ -176,9 +176,9 @@ def parse_results(path: Path) -> dict[str, Any]:
     return document
 
 
-def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDArray[np.int32]:
-    """(N,) the id of the fruit in or near which each of the means (N, 3) lies, -1 for none: its members in results that
-    do not store them."""
+def find_near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Find the id (N,) of the fruit in or near which each of the means (N, 3) lies, -1 for none: its members in results
+    that do not store them."""
     entries = document["fruits"]
     centers = np.array([entry["center"] for entry in entries], np.float64).reshape(-1, 3)
     diameters = np.array([entry["diameter"] for entry in entries], np.float64) / (document["metres_per_unit"] or 1.0)
@@ -186,8 +186,8 @@ def near_members(document: Mapping[str, Any], means: NDArray[np.float64]) -> NDA
     return ids[nearest_sphere(means, centers, diameters / 2.0)]
 
 
-def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> FruitCount:
-    """The count in fruits.json, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
+def parse_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> FruitCount:
+    """Parse the count in fruits.json, without its sampled points. member_ids: (N,) the fruit of each Gaussian."""
     unit = document["metres_per_unit"] or 1.0
     fruits = [
         Fruit(
@@ -207,7 +207,7 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
     mean = document["mean_diameter"]
     return FruitCount(
         fruits=fruits,
-        audit=[_stored_audit(entry, unit) for entry in document["audit"]["clusters"]],
+        audit=[_parse_audit(entry, unit) for entry in document["audit"]["clusters"]],
         max_probability=document["audit"]["max_probability"],
         mean_diameter=None if mean is None else mean / unit,
         last_id=document["last_id"],
@@ -217,31 +217,31 @@ def stored_count(document: Mapping[str, Any], member_ids: NDArray[np.int32]) -> 
                 np.array(entry["position"], np.float64),
                 entry["count"],
                 other_fruit=entry.get("other_fruit", 0),
-                **_stored_intervals(entry),
+                **_parse_intervals(entry),
             )
             for entry in document["trees"]
         ],
         pixel_width=document.get("pixel_width"),  # results of earlier versions have none of these, nor `likely`
         other_fruit=document.get("other_fruit", 0),
         other_colors=document.get("other_colors", 0),
-        **_stored_intervals(document),
+        **_parse_intervals(document),
     )
 
 
-def _stored_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
+def _parse_audit(entry: Mapping[str, Any], unit: float) -> AuditEntry:
     center = tuple(entry["center"] or (0.0, 0.0, 0.0))
     diameter = None if entry.get("diameter") is None else entry["diameter"] / unit
     return AuditEntry(**{**entry, "center": center, "fruit_ids": tuple(entry["fruit_ids"]), "diameter": diameter})
 
 
-def _stored_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The intervals written by `_intervals`; JSON has lists instead of tuples."""
+def _parse_intervals(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Parse the intervals written by `_intervals`; JSON has lists instead of tuples."""
     pairs = {name: entry[name] and tuple(entry[name]) for name in ("interval", "total_interval")}
     return {**pairs, "likely": entry.get("likely"), "total": entry["total"]}
 
 
-def known_fruit(document: Mapping[str, Any], inputs_sha256: str) -> KnownFruit:
-    """The fruit that an earlier count numbered, if it was of the same inputs."""
+def parse_known_fruit(document: Mapping[str, Any], inputs_sha256: str) -> KnownFruit:
+    """Parse the fruit that an earlier count numbered, if it was of the same inputs."""
     if document["provenance"]["inputs_sha256"] != inputs_sha256:
         return NO_FRUIT
     fruits = document["fruits"] + document.get("earlier_fruits", [])

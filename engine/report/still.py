@@ -21,7 +21,7 @@ from ..storage.files import replacing
 from .ellipses import Ellipse, ellipses
 from .labels import Label, place_labels, round_length
 from .meshes import id_color
-from .words import length_unit, three_digits
+from .words import format_three_digits, length_unit
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def draw_still(
     taken = overlay.scale_bar(camera, _middle_depth(outlines, fruits, camera), metres_per_unit)
     overlay.number(outlines, taken)
     progress(1.0, "drawn")
-    return titled(overlay.over(picture), title)
+    return add_title(overlay.composite(picture), title)
 
 
 def save_still(path: Path, still: Image.Image) -> None:
@@ -95,8 +95,8 @@ def _middle_depth(outlines: Sequence[Ellipse], fruits: Sequence[Fruit], camera: 
     return float(np.median(depths)) if depths else None
 
 
-def titled(picture: Image.Image, title: str) -> Image.Image:
-    """The picture below a white band with the title, as large as fits."""
+def add_title(picture: Image.Image, title: str) -> Image.Image:
+    """Put the picture below a white band with the title, as large as fits."""
     if not title:
         return picture
     title = title.replace("–", "-")  # Pillow's own font has no en dash
@@ -124,7 +124,7 @@ class _Overlay:
         self.canvas = ImageDraw.Draw(self.layer)
         self.font = ImageFont.load_default(max(17.0 * self.unit, 7.0) * _FINE)
 
-    def over(self, picture: Image.Image) -> Image.Image:
+    def composite(self, picture: Image.Image) -> Image.Image:
         small = self.layer.resize(picture.size, Image.Resampling.BOX)
         return Image.alpha_composite(picture.convert("RGBA"), small).convert("RGB")
 
@@ -134,7 +134,7 @@ class _Overlay:
             color = id_color(outline.id)
             points = outline.outline(96)
             if outline.hidden:
-                self._dashed(points, (*color, _FADED), 2.0)
+                self._draw_dashed(points, (*color, _FADED), 2.0)
             else:
                 self._line([*points, *points[:2]], (*_INK, 150), 4.6)
                 self._line([*points, *points[:2]], (*color, 255), 2.8)
@@ -169,11 +169,11 @@ class _Overlay:
         unit, of_scene = length_unit(metres_per_unit)
         pixels = float(camera.K[0, 0]) / depth / of_scene  # of one unit at that depth
         length = round_length(_BAR_SHARE * self.width / pixels)
-        text = f"{three_digits(length)} {unit}"
+        text = f"{format_three_digits(length)} {unit}"
         margin, thick = 24.0 * self.unit, 5.0 * self.unit
         wide = max(length * pixels, self._size(text)[0])
         box = np.array([margin, self.height - margin - 44.0 * self.unit, margin * 2 + wide, self.height - margin])
-        self._rounded(box, (*_PAPER, 215), None)
+        self._draw_rounded(box, (*_PAPER, 215), None)
         left, bottom = box[0] + margin / 2, box[3] - 10.0 * self.unit
         self._rectangle([left, bottom - thick, left + length * pixels, bottom], _INK)
         self.canvas.text(
@@ -183,7 +183,7 @@ class _Overlay:
 
     def _plate(self, label: Label, text: str, outline: Ellipse) -> None:
         faint = 150 if outline.hidden else 235
-        self._rounded(label.box, (*_PAPER, faint), (*id_color(outline.id), _FADED if outline.hidden else 255))
+        self._draw_rounded(label.box, (*_PAPER, faint), (*id_color(outline.id), _FADED if outline.hidden else 255))
         self.canvas.text(
             tuple(label.middle * _FINE), text, fill=(*_INK, 170 if outline.hidden else 255), font=self.font, anchor="mm"
         )
@@ -200,10 +200,10 @@ class _Overlay:
         margin = 24.0 * self.unit
         box = np.array([self.width - 2 * margin - wide, self.height - 2 * margin - high])
         box = np.array([*box, self.width - margin, self.height - margin])
-        self._rounded(box, (*_PAPER, 215), None)
+        self._draw_rounded(box, (*_PAPER, 215), None)
         self.canvas.text(tuple((box[:2] + box[2:]) / 2 * _FINE), text, fill=(*_INK, 255), font=self.font, anchor="mm")
 
-    def _dashed(self, points: FloatArray, color: tuple[int, ...], thick: float) -> None:
+    def _draw_dashed(self, points: FloatArray, color: tuple[int, ...], thick: float) -> None:
         closed = np.vstack([points, points[:1]])
         steps = np.linalg.norm(np.diff(closed, axis=0), axis=1)
         dashes = max(4, round(float(steps.sum()) / (2.0 * _DASH * self.unit)))
@@ -216,7 +216,7 @@ class _Overlay:
         pixels = max(1, round(thick * self.unit * _FINE))
         self.canvas.line([tuple(point * _FINE) for point in points], fill=color, width=pixels, joint="curve")
 
-    def _rounded(self, box: FloatArray, fill: tuple[int, ...], edge: tuple[int, ...] | None) -> None:
+    def _draw_rounded(self, box: FloatArray, fill: tuple[int, ...], edge: tuple[int, ...] | None) -> None:
         radius, thick = 5.0 * self.unit * _FINE, max(1, round(1.6 * self.unit * _FINE))
         self.canvas.rounded_rectangle([*(box * _FINE)], radius, fill=fill, outline=edge, width=thick if edge else 0)
 

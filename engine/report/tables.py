@@ -10,7 +10,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..counting.fruit import KIND_TEXTS, Fruit, FruitCount
-from .words import audit_reason, count_text, length_unit, location_text, nothing_found, place, three_digits
+from .words import (
+    audit_reason,
+    count_text,
+    explain_nothing_found,
+    format_three_digits,
+    length_unit,
+    location_text,
+    place,
+)
 
 
 def fruits_csv(fruit_count: FruitCount, *, metres_per_unit: float | None) -> str:
@@ -67,7 +75,7 @@ def summary(
         if fruit_count.count > rows:
             lines.append(f"  … {fruit_count.count - rows} more in fruits.csv")
     else:
-        lines.append(f"  {nothing_found(fruit_count, threshold, metres_per_unit)}")
+        lines.append(f"  {explain_nothing_found(fruit_count, threshold, metres_per_unit)}")
         clusters = [entry for entry in fruit_count.audit if place(entry) is not None]
         lines += [f"  {entry.verdict}: {audit_reason(entry, metres_per_unit)}" for entry in clusters[:rows]]
     lines += ["", "  " + "  ".join(f"{stage} {value:.1f} s" for stage, value in seconds.items())]
@@ -77,8 +85,8 @@ def summary(
 def size_lines(fruit_count: FruitCount, metres_per_unit: float | None) -> list[str]:
     """Sentences about at least one fruit: sizes, kinds and, if it is known, the width in the photos."""
     unit, scale = length_unit(metres_per_unit)
-    mean = three_digits(scale * float(fruit_count.diameters.mean()))
-    low, high = (three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
+    mean = format_three_digits(scale * float(fruit_count.diameters.mean()))
+    low, high = (format_three_digits(scale * float(value)) for value in np.quantile(fruit_count.diameters, [0.1, 0.9]))
     fruits = fruit_count.fruits
     kinds = ", ".join(f"{sum(fruit.kind == kind for fruit in fruits)} {KIND_TEXTS[kind]}" for kind in _kinds(fruits))
     lines = [f"mean diameter {mean} {unit}, 80 % between {low} and {high}", f"kinds: {kinds}"]
@@ -97,10 +105,10 @@ def fruit_cells(fruit: Fruit, metres_per_unit: float | None) -> list[str]:
     """Diameter of a fruit (± its deviation if known), volume, probability and visible share as texts."""
     _, scale = length_unit(metres_per_unit)
     volume = fruit.volume * _volume_scale(metres_per_unit)
-    size = three_digits(fruit.diameter * scale)
+    size = format_three_digits(fruit.diameter * scale)
     if not math.isnan(fruit.diameter_sd):
         size += f" ± {float(f'{fruit.diameter_sd * scale:.2g}'):g}"
-    return [size, three_digits(volume), f"{fruit.probability:.2f}", _visible(fruit)]
+    return [size, format_three_digits(volume), f"{fruit.probability:.2f}", _visible(fruit)]
 
 
 def _visible(fruit: Fruit) -> str:
@@ -122,7 +130,7 @@ def _fruit_rows(fruits: Sequence[Fruit], metres_per_unit: float | None) -> list[
     header = f"  {'id':>4}  {'label':<12} {size_head:>14} {'probability':>12} {'visible':>8}  kind"
     rows = []
     for fruit in fruits:
-        size = three_digits(fruit.diameter * scale)
+        size = format_three_digits(fruit.diameter * scale)
         certainty = f"{fruit.probability:>12.2f} {_visible(fruit):>8}"
         rows.append(f"  {fruit.id:>4}  {fruit.label:<12} {size:>14} {certainty}  {KIND_TEXTS[fruit.kind]}")
     return [header, *rows]

@@ -12,7 +12,7 @@ from ..scene.camera import Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
 from ..storage.files import replacing
-from .pictures import ramp, side_by_side, strip_views
+from .pictures import join_side_by_side, ramp, strip_views
 
 MOST_VIEWS = 4
 """Photos in a picture."""
@@ -37,7 +37,7 @@ def save_word_picture(
         shown = drawn.features[..., 0].detach().numpy()
         name = scene.images[view].name
         pixels = scene.images[view].pixels()
-        strips.append(side_by_side({f"photo {name}": pixels, "probability of the word": ramp(shown)}))
+        strips.append(join_side_by_side({f"photo {name}": pixels, "probability of the word": ramp(shown)}))
     page = Image.new("RGB", (max(each.width for each in strips), sum(each.height for each in strips)), (255, 255, 255))
     top = 0
     for strip in strips:

@@ -29,7 +29,7 @@ def audit_reason(entry: AuditEntry, metres_per_unit: float | None) -> str:
         return entry.reason
     unit, scale = length_unit(metres_per_unit)
     mean = "mean " if len(entry.fruit_ids) > 1 else ""
-    return f"{entry.reason}; {mean}diameter {three_digits(scale * entry.diameter)} {unit}"
+    return f"{entry.reason}; {mean}diameter {format_three_digits(scale * entry.diameter)} {unit}"
 
 
 def count_text(fruit_count: FruitCount) -> str:
@@ -85,9 +85,9 @@ def _tree_interval(tree: Tree) -> str:
     return f" ({_interval(tree.interval)}{hidden})"
 
 
-def nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:
-    """Why there is no fruit: those that were found are of other kinds or colours, nothing reached `threshold`, or what
-    reached it does not have the shape of a fruit."""
+def explain_nothing_found(fruit_count: FruitCount, threshold: float, metres_per_unit: float | None) -> str:
+    """Say why there is no fruit: those that were found are of other kinds or colours, nothing reached `threshold`, or
+    what reached it does not have the shape of a fruit."""
     if fruit_count.other_fruit:
         return f"the {fruit_count.other_fruit} fruit that were found look like other kinds"
     if fruit_count.other_colors:
@@ -113,13 +113,13 @@ def file_unit(metres_per_unit: float | None) -> tuple[str, float]:
     return ("scene units", 1.0) if metres_per_unit is None else ("m", metres_per_unit)
 
 
-def trained_text(training: Mapping[str, Any]) -> str:
-    """What trained the Gaussians, to end a sentence: ", trained on CPU"; empty in results of earlier versions."""
+def training_text(training: Mapping[str, Any]) -> str:
+    """Say what trained the Gaussians, to end a sentence: ", trained on CPU"; empty in results of earlier versions."""
     return f", trained on {training['device']}" if "device" in training else ""
 
 
-def three_digits(value: float) -> str:
-    """A measured number with three significant digits: 78.3, 0.0783, 1230."""
+def format_three_digits(value: float) -> str:
+    """Format a measured number with three significant digits: 78.3, 0.0783, 1230."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -127,4 +127,4 @@ def scale_text(scale: Mapping[str, Any]) -> str:
     """The provenance's scale as text: '1 scene unit is 0.998 m ± 0.4 %, by the GPS tags of 60 photos'."""
     metres, error = scale["metres_per_unit"], scale["standard_error"]
     spread = "" if error is None else f" ± {error / metres:.1%}".replace("%", " %")
-    return f"1 scene unit is {three_digits(metres)} m{spread}, by {scale['of']}"
+    return f"1 scene unit is {format_three_digits(metres)} m{spread}, by {scale['of']}"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import SceneError
-from ...engine.report.words import three_digits
+from ...engine.report.words import format_three_digits
 from ..blender_data import (
     OWNER,
     gaussian_attributes,
@@ -68,7 +68,7 @@ def diameter_text(item: bpy.types.Object, metric: bool) -> str:
 
 def diameter_number(item: bpy.types.Object, metric: bool) -> str:
     """The same without a unit, for a column below `diameter_head`."""
-    return three_digits(float(item.get("diameter", 0.0)) * (1000.0 if metric else 1.0))
+    return format_three_digits(float(item.get("diameter", 0.0)) * (1000.0 if metric else 1.0))
 
 
 def diameter_head(metric: bool) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ...engine.report.words import count_text, length_unit, location_text, nothing_found, trained_text
+from ...engine.report.words import count_text, explain_nothing_found, length_unit, location_text, training_text
 from .source_mark import source_mark
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def gaussians_state(count: int, training: Mapping[str, Any], features: str) -> G
     psnr, ssim = training["psnr"], training["ssim"]
     quality = ""
     if psnr is not None:
-        quality = f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}{trained_text(training)}"
+        quality = f"held-out photos: PSNR {psnr:.1f} dB, SSIM {ssim:.2f}{training_text(training)}"
     return GaussiansState(gaussians=count, features=features, quality=quality)
 
 
@@ -113,7 +113,7 @@ def count_state(result: Result, prompt: str, folder: str) -> CountState:
         label=", ".join(sorted({fruit.label for fruit in fruit_count.fruits})) or prompt,
         unit=unit,
         mean_diameter=(fruit_count.mean_diameter or 0.0) * scale,
-        zero_reason="" if found else nothing_found(fruit_count, result.config.count.threshold, metres),
+        zero_reason="" if found else explain_nothing_found(fruit_count, result.config.count.threshold, metres),
         sureness=count_text(fruit_count) if found else "",
         whereabouts="; ".join(location_text(fruit_count)) if found else "",
         notices="; ".join(result.notices),

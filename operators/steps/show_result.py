@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.report.words import three_digits
+from ...engine.report.words import format_three_digits
 from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_fruits import counted
@@ -172,4 +172,4 @@ def count_report(shown: Any, fruit_count: FruitCount) -> tuple[set[str], str]:
 
 def size_text(shown: Any) -> str:
     """'mean diameter 81.2 mm'."""
-    return f"mean diameter {three_digits(shown.mean_diameter)} {shown.unit}"
+    return f"mean diameter {format_three_digits(shown.mean_diameter)} {shown.unit}"

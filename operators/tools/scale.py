@@ -13,7 +13,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
-from ...engine.report.words import length_unit, three_digits
+from ...engine.report.words import format_three_digits, length_unit
 from ..blender_data import owned_object, owned_objects
 from ..data.write_fruits import MEASURED, set_unit
 from ..data.write_root import METRES
@@ -26,7 +26,7 @@ from .pick_tool import PickTool
 def scale_text(bpy_scene: bpy.types.Scene) -> str:
     """'1 scene unit is 0.998 m'; empty if the scale is unknown."""
     root = owned_object(bpy_scene, "root")
-    return f"1 scene unit is {three_digits(root[METRES])} m" if root is not None and root.get(METRES) else ""
+    return f"1 scene unit is {format_three_digits(root[METRES])} m" if root is not None and root.get(METRES) else ""
 
 
 def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:

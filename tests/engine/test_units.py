@@ -12,7 +12,7 @@ import torch
 
 from fruitlangs.engine.config import Config, UnitsConfig
 from fruitlangs.engine.errors import ConfigError, SceneError
-from fruitlangs.engine.report.words import length_unit, scale_text, three_digits
+from fruitlangs.engine.report.words import format_three_digits, length_unit, scale_text
 from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.scene.formats.cameras_json import add_scene_facts, camera_names, read_cameras
 from fruitlangs.engine.scene.scale import scale_by_length
@@ -192,9 +192,9 @@ def test_a_cameras_file_with_another_scale_and_up_differs_in_nothing_else(tmp_pa
 
 def test_people_read_millimetres_where_the_scale_is_known_and_scene_units_where_not() -> None:
     unit, scale = length_unit(0.5)
-    assert f"{three_digits(0.15645 * scale)} {unit}" == "78.2 mm"
+    assert f"{format_three_digits(0.15645 * scale)} {unit}" == "78.2 mm"
     assert length_unit(None) == ("scene units", 1.0)
-    assert [three_digits(value) for value in (1234.5, 0.078349, 112.2)] == ["1230", "0.0783", "112"]
+    assert [format_three_digits(value) for value in (1234.5, 0.078349, 112.2)] == ["1230", "0.0783", "112"]
 
 
 def test_the_scale_is_reported_with_its_error_where_there_is_one() -> None:

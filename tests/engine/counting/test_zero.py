@@ -21,7 +21,7 @@ from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.counting.published import fruitnerf, template
 from fruitlangs.engine.errors import CountingError
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
-from fruitlangs.engine.report.words import count_text, nothing_found
+from fruitlangs.engine.report.words import count_text, explain_nothing_found
 
 CONFIG = CountConfig(sample_budget=4_000)
 POOR, BLURRED, GOOD = Quality(15.0, 0.35), Quality(17.7, 0.55), Quality(21.0, 0.65)
@@ -176,7 +176,7 @@ def test_gaussians_that_match_without_a_fruit_give_an_interval_up_to_what_may_be
     assert 5 <= result.interval[1] <= 25  # 8 fruit in clumps of 3, and 8 single Gaussians that match
     assert result.notices[-1].startswith(f"no fruit was counted, but {matching(tree)} Gaussians match apple: up to")
     assert f"90 % interval 0–{result.interval[1]}" in count_text(result)
-    assert reason in nothing_found(result, 0.5, None)
+    assert reason in explain_nothing_found(result, 0.5, None)
 
 
 def test_fruit_that_no_view_shows_may_be_hidden_fruit_only(tree: sim.Simulation) -> None:

@@ -17,7 +17,7 @@ from fruitlangs.engine.counting.fruit import AuditEntry, Tree
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.report.histogram import drawing, histogram
 from fruitlangs.engine.report.page import Reviewed, write_page
-from fruitlangs.engine.report.words import count_text, nothing_found
+from fruitlangs.engine.report.words import count_text, explain_nothing_found
 
 ROOT = Path(__file__).resolve().parents[3]
 TWO = count_of(
@@ -102,7 +102,7 @@ def test_the_page_needs_no_other_file_and_no_network(tmp_path: Path) -> None:
 
 def test_a_zero_gives_its_reason(tmp_path: Path) -> None:
     settings = {"config": {"count": {"threshold": 0.5}}}
-    assert nothing_found(NO_FRUIT, 0.5, None) in page(tmp_path, NO_FRUIT, provenance=settings).text
+    assert explain_nothing_found(NO_FRUIT, 0.5, None) in page(tmp_path, NO_FRUIT, provenance=settings).text
     assert "highest probability .31 is below .50" in page(tmp_path, NO_FRUIT, still=None).text
 
 

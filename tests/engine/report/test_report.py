@@ -15,9 +15,9 @@ from fruit_examples import count_of, fruit
 from fruitlangs.engine.counting.fruit import AuditEntry, FruitCount, Tree
 from fruitlangs.engine.errors import FormatError, OutputError
 from fruitlangs.engine.report.meshes import id_color
-from fruitlangs.engine.report.results import dump, fruits_document, stored_count
+from fruitlangs.engine.report.results import dump, fruits_document, parse_count
 from fruitlangs.engine.report.tables import fruits_csv, size_lines, summary
-from fruitlangs.engine.report.words import count_text, headline, location_text, nothing_found
+from fruitlangs.engine.report.words import count_text, explain_nothing_found, headline, location_text
 from fruitlangs.engine.result_folder import ResultFolder
 from fruitlangs.engine.storage.files import file_hash, write_text
 
@@ -154,11 +154,12 @@ def test_a_zero_blames_the_threshold_only_where_nothing_reached_it() -> None:
     clusters = [AuditEntry(number, "dropped", "flat", (1.0, 2.0, 3.0), 40) for number in range(3)]
     dust = AuditEntry(3, "dropped", "9 clusters are too small", (0.0, 0.0, 0.0), 12)
     refused = dataclasses.replace(NO_FRUIT, max_probability=0.9, audit=[*clusters, dust])
-    assert nothing_found(NO_FRUIT, 0.5, None).startswith("nothing reached the threshold 0.50")
+    assert explain_nothing_found(NO_FRUIT, 0.5, None).startswith("nothing reached the threshold 0.50")
     assert (
-        nothing_found(refused, 0.5, None) == "3 clusters reached the threshold 0.50, but none has the shape of a fruit"
+        explain_nothing_found(refused, 0.5, None)
+        == "3 clusters reached the threshold 0.50, but none has the shape of a fruit"
     )
-    assert nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5, None) == dust.reason
+    assert explain_nothing_found(dataclasses.replace(refused, audit=[dust]), 0.5, None) == dust.reason
 
 
 def test_the_table_gives_the_reason_of_a_zero_once() -> None:
@@ -180,22 +181,22 @@ def test_width_and_notes_come_back_from_fruits_json_and_older_results_have_none(
         wide, config={}, provenance={}, files={}, metres_per_unit=2.0, notices=["a photo is missing"]
     )
     assert (document["pixel_width"], document["notices"]) == (13.6, ["a photo is missing"])
-    assert stored_count(document, np.zeros(0, np.int32)).pixel_width == 13.6
+    assert parse_count(document, np.zeros(0, np.int32)).pixel_width == 13.6
     del document["pixel_width"], document["notices"]
-    assert stored_count(document, np.zeros(0, np.int32)).pixel_width is None
+    assert parse_count(document, np.zeros(0, np.int32)).pixel_width is None
 
 
 def test_other_kinds_and_colours_come_back_from_fruits_json_and_older_results_have_none() -> None:
     trees = [dataclasses.replace(tree, other_fruit=tree.number) for tree in placed().trees]
     doubtful = dataclasses.replace(placed(), other_fruit=38, other_colors=7, trees=trees)
     document = fruits_document(doubtful, config={}, provenance={}, files={}, metres_per_unit=None)
-    stored = stored_count(document, np.zeros(0, np.int32))
+    stored = parse_count(document, np.zeros(0, np.int32))
     assert (stored.other_fruit, stored.other_colors) == (38, 7)
     assert [tree.other_fruit for tree in stored.trees] == [1, 2]
     del document["other_fruit"], document["other_colors"]
     for tree in document["trees"]:
         del tree["other_fruit"]
-    older = stored_count(document, np.zeros(0, np.int32))
+    older = parse_count(document, np.zeros(0, np.int32))
     assert (older.other_fruit, older.other_colors, [tree.other_fruit for tree in older.trees]) == (0, 0, [0, 0])
 
 
@@ -218,7 +219,7 @@ def test_the_audit_of_a_result_comes_back_in_scene_units_whatever_the_scale() ->
         count_of(fruit(1, 0.0), audit=[entry]), config={}, provenance={}, files={}, metres_per_unit=2.0
     )
     assert document["audit"]["clusters"][0]["diameter"] == 0.16
-    assert stored_count(document, np.zeros(0, np.int32)).audit == [entry]
+    assert parse_count(document, np.zeros(0, np.int32)).audit == [entry]
 
 
 def test_a_file_of_another_run_is_noticed(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from fruit_examples import fruit
 from PIL import Image
 
 from fruitlangs.engine.counting.fruit import Fruit
-from fruitlangs.engine.report.ellipses import ellipses, projected
-from fruitlangs.engine.report.framing import framing
+from fruitlangs.engine.report.ellipses import ellipses, project_ellipsoid
+from fruitlangs.engine.report.framing import frame_tree
 from fruitlangs.engine.report.labels import place_labels, round_length
 from fruitlangs.engine.report.still import draw_still, save_still
 from fruitlangs.engine.scene.camera import Camera, Scene, look_along
@@ -65,7 +65,7 @@ def test_the_outline_is_that_of_the_ellipsoids_own_points() -> None:
     rows = np.random.default_rng(2).normal(size=(200_000, 3))
     points = rows / np.linalg.norm(rows, axis=1, keepdims=True) @ axes
     pixels, _ = camera.project(points)
-    outline = projected(np.zeros(3), axes, camera)
+    outline = project_ellipsoid(np.zeros(3), axes, camera)
     assert outline is not None
     center, half = outline
     inside = np.linalg.norm((pixels - center) @ np.linalg.inv(half), axis=1)
@@ -77,7 +77,7 @@ def test_the_outline_is_that_of_the_ellipsoids_own_points() -> None:
 def test_a_fruit_behind_the_camera_or_next_to_the_picture_has_no_outline() -> None:
     camera = camera_at([0.0, -1.0, 0.0])
     for place in ([0.0, -2.0, 0.0], [5.0, 0.0, 0.0]):
-        assert projected(np.array(place), RADIUS * np.eye(3), camera) is None
+        assert project_ellipsoid(np.array(place), RADIUS * np.eye(3), camera) is None
 
 
 def test_a_fruit_behind_a_wall_is_hidden_and_one_next_to_it_is_not() -> None:
@@ -87,10 +87,10 @@ def test_a_fruit_behind_a_wall_is_hidden_and_one_next_to_it_is_not() -> None:
 
 
 def test_the_picture_holds_every_fruit_whole() -> None:
-    camera = framing(scene_of([camera_at([0.0, -1.0, 0.0])]), TREE, FRUITS, width=400, height=300)
+    camera = frame_tree(scene_of([camera_at([0.0, -1.0, 0.0])]), TREE, FRUITS, width=400, height=300)
     assert (camera.width, camera.height) == (400, 300)
     for each in FRUITS:
-        outline = projected(each.center, each.axes, camera)
+        outline = project_ellipsoid(each.center, each.axes, camera)
         assert outline is not None
         reach = np.linalg.norm(outline[1], axis=0)
         assert (outline[0] - reach >= 0).all()
@@ -98,14 +98,14 @@ def test_the_picture_holds_every_fruit_whole() -> None:
 
 
 def test_the_picture_is_filled() -> None:
-    camera = framing(scene_of([camera_at([0.0, -9.0, 0.0])]), TREE, FRUITS, width=400, height=300)
+    camera = frame_tree(scene_of([camera_at([0.0, -9.0, 0.0])]), TREE, FRUITS, width=400, height=300)
     pixels, _ = camera.project(np.array([each.center for each in FRUITS]))
     assert (np.ptp(pixels, axis=0) / (400, 300)).max() > 0.6
 
 
 def test_it_stands_where_a_photo_was_taken_even_if_photos_are_on_one_side_only() -> None:
     cameras = [camera_at([x, -3.0, 0.2]) for x in (-1.0, 0.0, 1.0)]
-    camera = framing(scene_of(cameras), TREE, FRUITS, width=400, height=300)
+    camera = frame_tree(scene_of(cameras), TREE, FRUITS, width=400, height=300)
     assert min(np.linalg.norm(camera.center - photo.center) for photo in cameras) < 1e-9
 
 
@@ -113,17 +113,17 @@ def test_it_stands_where_a_photo_was_taken_even_if_photos_are_on_one_side_only()
 def test_it_looks_from_where_most_fruit_are_seen(open_side: float) -> None:
     tree = solid(skin(FRUITS), wall(-0.15 * open_side))
     cameras = [camera_at([0.0, -2.0, 0.0]), camera_at([0.0, 2.0, 0.0])]
-    assert framing(scene_of(cameras), tree, FRUITS, width=400, height=300).center[1] * open_side > 0
+    assert frame_tree(scene_of(cameras), tree, FRUITS, width=400, height=300).center[1] * open_side > 0
 
 
 def test_the_same_tree_is_framed_the_same_again() -> None:
     scene = scene_of([camera_at([0.0, -2.0, 0.0]), camera_at([2.0, 0.0, 0.3])])
-    first, second = (framing(scene, TREE, FRUITS, width=400, height=300) for _ in range(2))
+    first, second = (frame_tree(scene, TREE, FRUITS, width=400, height=300) for _ in range(2))
     assert (first.world_to_camera == second.world_to_camera).all()
 
 
 def test_a_scene_without_cameras_is_seen_from_a_side_upright() -> None:
-    camera = framing(scene_of([]), TREE, FRUITS, width=400, height=300)
+    camera = frame_tree(scene_of([]), TREE, FRUITS, width=400, height=300)
     assert abs(camera.forward @ UP) < 0.3
     assert camera.world_to_camera[1, :3] @ UP < -0.9  # y is down in a picture
 
@@ -133,7 +133,7 @@ def test_photos_straight_down_give_a_camera_straight_down() -> None:
     pose = np.eye(4)
     pose[:3, :3] = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
     overhead = Camera(K=down.K, world_to_camera=pose, width=400, height=300)
-    camera = framing(scene_of([overhead]), TREE, FRUITS, width=400, height=300)
+    camera = frame_tree(scene_of([overhead]), TREE, FRUITS, width=400, height=300)
     assert camera.forward @ UP == pytest.approx(-1.0)
     assert np.isfinite(camera.world_to_camera).all()
 
@@ -145,7 +145,7 @@ def test_a_tree_with_many_fruit_fills_the_picture_and_the_grass_around_it_does_n
     scene = scene_of([camera_at([0.0, -3.0, 0.0])])
     heights = []
     for fruits in (crown, crown[:9]):
-        camera = framing(scene, grass, fruits, width=400, height=300)
+        camera = frame_tree(scene, grass, fruits, width=400, height=300)
         pixels, _ = camera.project(np.array([each.center for each in crown]))
         assert (pixels >= 0.0).all()
         assert (pixels <= [400.0, 300.0]).all()
@@ -157,7 +157,7 @@ def test_a_tree_with_many_fruit_fills_the_picture_and_the_grass_around_it_does_n
 @pytest.mark.parametrize("fruits", [[], FRUITS])
 def test_a_tree_without_fruit_and_fruit_without_a_tree_are_framed(fruits: list[Fruit]) -> None:
     tree = TREE if not fruits else TREE.select(torch.zeros(len(TREE), dtype=torch.bool))
-    camera = framing(scene_of([camera_at([0.0, -2.0, 0.0])]), tree, fruits, width=400, height=300)
+    camera = frame_tree(scene_of([camera_at([0.0, -2.0, 0.0])]), tree, fruits, width=400, height=300)
     assert np.isfinite(camera.world_to_camera).all()
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fruitlangs.engine.counting.accounts.ids import NO_FRUIT, KnownFruit, number
 from fruitlangs.engine.counting.fruit import FruitCount
 from fruitlangs.engine.errors import FormatError
-from fruitlangs.engine.report.results import SCHEMA, dump, fruits_document, known_fruit
+from fruitlangs.engine.report.results import SCHEMA, dump, fruits_document, parse_known_fruit
 from fruitlangs.engine.result_folder import ResultFolder
 
 LINE = np.stack([np.arange(4.0), np.zeros(4), np.zeros(4)], axis=1)
@@ -62,7 +62,7 @@ PROVENANCE = {"source": "", "inputs_sha256": "abc", "encoder": "", "prompts": []
 
 
 def known_in(folder: Path, inputs: str = "abc") -> KnownFruit:
-    return known_fruit(ResultFolder(folder).read(), inputs)
+    return parse_known_fruit(ResultFolder(folder).read(), inputs)
 
 
 def written(folder: Path, found: FruitCount, metres_per_unit: float | None = None) -> KnownFruit:

@@ -9,7 +9,7 @@ from fruit_examples import count_of, fruit
 
 from fruitlangs.engine.counting.accounts.other_kinds import AnyKind, add_other_kinds
 from fruitlangs.engine.counting.fruit import FruitCount, Tree
-from fruitlangs.engine.report.words import count_text, nothing_found
+from fruitlangs.engine.report.words import count_text, explain_nothing_found
 
 LEMONS = [fruit(number, 0.3 * number) for number in range(1, 39)]
 KINDS = ["lemon"] * 25 + ["orange"] * 9 + ["plum"] * 2 + [""] * 2
@@ -41,7 +41,7 @@ def test_a_0_where_other_fruit_hang_admits_them_and_says_what_they_look_like() -
         "orange (9) and plum (2). If these are plum, count with the prompt fruit"
     )
     assert count_text(found).startswith("0 visible fruit (90 % interval 0–54)")
-    assert nothing_found(found, 0.5, None) == "the 38 fruit that were found look like other kinds"
+    assert explain_nothing_found(found, 0.5, None) == "the 38 fruit that were found look like other kinds"
 
 
 def test_a_count_that_others_outnumber_says_so() -> None:

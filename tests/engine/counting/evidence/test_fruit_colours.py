@@ -17,7 +17,7 @@ from fruitlangs.engine.language.encoders.encoder import ColourSplit
 from fruitlangs.engine.language.features.photo_features import PhotoFeatures
 from fruitlangs.engine.language.prompts.colour_choice import ColourChoice
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
-from fruitlangs.engine.report.words import nothing_found
+from fruitlangs.engine.report.words import explain_nothing_found
 from fruitlangs.engine.scene.camera import Camera
 
 CONFIG = CountConfig(sample_budget=4_000)
@@ -76,7 +76,7 @@ def test_a_colour_that_no_fruit_has_is_a_counted_0_with_its_reason(tree: sim.Sim
     found = counted(tree, None).count
     assert none.other_colors == found
     assert none.notices[-1] == f"no apple was counted, but {found} fruit of other colours were found"
-    assert nothing_found(none, 0.5, None) == f"the {found} fruit that were found have other colours"
+    assert explain_nothing_found(none, 0.5, None) == f"the {found} fruit that were found have other colours"
 
 
 def test_fruit_between_two_colours_widen_the_interval_of_each(tree: sim.Simulation) -> None:
