@@ -13,7 +13,7 @@ from statistics import mean
 
 from scipy import stats
 
-from ..engine.block.totals import Amount, summed
+from ..engine.block.totals import Amount, sum_amounts
 
 LEAST_FRUIT = 0.5
 """Lower end of an interval that starts at 0, where its logarithm is needed."""
@@ -88,5 +88,5 @@ def held_sums_left_out(trees: Mapping[str, Sequence[MeasuredTree]], size: int) -
 
 
 def _holds(trees: Sequence[MeasuredTree], shared: float) -> bool:
-    whole = summed([tree.amount for tree in trees], ["one kind"] * len(trees), shared)
+    whole = sum_amounts([tree.amount for tree in trees], ["one kind"] * len(trees), shared)
     return whole.low <= sum(tree.true for tree in trees) <= whole.high

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from ..child_process import usable_cores
 from ..errors import ConfigError
 from ..storage.files import write_text
-from .jobs import Jobs, LocalJobs, no_progress, slurm_jobs
+from .jobs import Jobs, LocalJobs, explain_no_progress, slurm_jobs
 from .ledger import LOG, Ledger, TreeState, run_name
 from .manifest import TreeEntry
 
@@ -44,9 +44,9 @@ class Workers:
     gigabytes: float = 0.0
     gpus: int = 0
 
-    def fitting(self, trees: int, cores: int, free: int) -> int:
-        """The number of workers for this many trees on a computer with these cores and bytes: one for each core, if
-        memory allows. Four trees took 89 s by two workers with a core each, and 120 s by one with two."""
+    def count_workers(self, trees: int, cores: int, free: int) -> int:
+        """Count the workers for this many trees on a computer with these cores and bytes: one for each core, if memory
+        allows. Four trees took 89 s by two workers with a core each, and 120 s by one with two."""
         if self.jobs is not None:
             return max(min(self.jobs, trees), 1)
         if self.executor == "slurm":
@@ -80,7 +80,7 @@ def drive(
         OutputError: workers end without any effect; tells what the last one wrote.
     """
     run, cores = run_name(), usable_cores()
-    most = workers.fitting(sum(state.is_open for state in ledger.states().values()), cores, free)
+    most = workers.count_workers(sum(state.is_open for state in ledger.states().values()), cores, free)
     jobs = _jobs(workers, [*command, str(ledger.path), run, workers.executor], ledger.path / LOG, run, most, cores)
     running: list[Any] = []
     reported: dict[str, TreeState] = {}
@@ -110,7 +110,7 @@ def drive(
                 for _ in range(min(most - len(running), waiting)):
                     running.append(jobs.start())
             elif not running:
-                raise no_progress(jobs.log(ended[-1]), idle)
+                raise explain_no_progress(jobs.log(ended[-1]), idle)
             time.sleep(pause)
     finally:
         jobs.cancel(running)

@@ -61,7 +61,7 @@ def read_inputs(tree: TreeEntry) -> Inputs:
         ConfigError: its settings are of another version.
     """
     own = tree.source if tree.source.is_dir() else tree.source.parent
-    files = source_files(tree.source)
+    files = list_source_files(tree.source)
     return Inputs(
         files=_stat_hash(files, own) if files else "",
         words=_stat_hash(_files_of_words(tree), own),
@@ -89,21 +89,21 @@ def check_inputs(tree: TreeEntry, before: Inputs) -> Check:
     return Check(outdated=bool(note), note=note)
 
 
-def source_files(source: Path) -> list[Path]:
-    """The files from which a source is read, in any order; [] if it is missing.
+def list_source_files(source: Path) -> list[Path]:
+    """List the files from which a source is read, in any order; [] if it is missing.
 
     Of a folder these are all files of a kind that is read, in sub-folders too, except results and blocks, and photos
     elsewhere that its camera model names.
     """
     if source.is_file():
-        return [source, *(_named(source) if source.suffix.lower() == ".json" else ())]
+        return [source, *(_list_named(source) if source.suffix.lower() == ".json" else ())]
     if not source.is_dir():
         return []
     if ResultFolder(source).holds_result():
         return [file for file in (source / name for name in OF_RESULT) if file.is_file()]
     found = list(_walk(source, set()))
     if (source / TRANSFORMS).is_file():
-        found += _named(source / TRANSFORMS)
+        found += _list_named(source / TRANSFORMS)
     return [*found, *(file for folder in _photo_folders_above(source) for file in _walk(folder, set()))]
 
 
@@ -126,8 +126,8 @@ def _walk(folder: Path, entered: set[str]) -> Iterator[Path]:
                 yield path
 
 
-def _named(transforms: Path) -> list[Path]:
-    """The files that a transforms.json names; none if it cannot be used, of which the count tells the reason."""
+def _list_named(transforms: Path) -> list[Path]:
+    """List the files that a transforms.json names; none if it cannot be used, of which the count tells the reason."""
     with suppress(SceneError):
         return open_transforms(transforms).files()
     return []

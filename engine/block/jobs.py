@@ -168,8 +168,8 @@ def slurm_jobs(
     return SlurmJobs(executor=executor, function=submitit.helpers.CommandFunction([*given, *command], verbose=False))
 
 
-def no_progress(log: Path, ended: int) -> OutputError:
-    """What to report when so many workers in a row ended without any effect. log: of the last one."""
+def explain_no_progress(log: Path, ended: int) -> OutputError:
+    """Say what to report when so many workers in a row ended without any effect. log: of the last one."""
     try:
         written = log.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -114,7 +114,7 @@ class Ledger:
         for tree in self.trees():
             state = self.state(tree)
             if state.stage == "running":
-                with self.claimed(tree) as mine:
+                with self.claim(tree) as mine:
                     state = self.state(tree) if not mine else replace(state, stage="waiting")
             found[tree.id] = state
         return found
@@ -131,7 +131,7 @@ class Ledger:
             check = self.check(tree, state)
             if state.stage != "failed" and not check.outdated:
                 continue
-            with self.claimed(tree) as mine:
+            with self.claim(tree) as mine:
                 if mine and self.state(tree) == state:
                     self.write(tree, TreeState(fingerprint=tree.fingerprint, reason=check.note))
 
@@ -148,8 +148,9 @@ class Ledger:
         write_text(self._file(tree), json.dumps(asdict(state)))
 
     @contextmanager
-    def claimed(self, tree: TreeEntry) -> Iterator[bool]:
-        """Whether the tree is this process's until the block ends, because no other process works on it."""
+    def claim(self, tree: TreeEntry) -> Iterator[bool]:
+        """Claim the tree until the block ends; yield whether it is this process's, because no other process works on
+        it."""
         lock = FileLock(self.path / LOCKS / f"{tree.id}.lock", timeout=0)
         try:
             lock.acquire()

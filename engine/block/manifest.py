@@ -176,7 +176,7 @@ def _toml(path: Path, common: dict[str, Any]) -> list[tuple[dict[str, Any], str]
 def _table(path: Path) -> list[tuple[dict[str, Any], str]]:
     """The lines of a table, whatever its separator and encoding are: a spreadsheet wrote it."""
     try:
-        text = _decoded(path.read_bytes())
+        text = _decode(path.read_bytes())
     except OSError as error:
         raise FormatError(
             f"{path} cannot be read ({error.strerror or error}). Give a .csv, a .toml or a folder"
@@ -203,8 +203,8 @@ def _table(path: Path) -> list[tuple[dict[str, Any], str]]:
     return rows
 
 
-def _decoded(content: bytes) -> str:
-    """Text in UTF-8, in UTF-16 with its mark, or in Windows' western encoding."""
+def _decode(content: bytes) -> str:
+    """Decode text in UTF-8, in UTF-16 with its mark, or in Windows' western encoding."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return content.decode("utf-16", errors="replace")
     try:

@@ -100,12 +100,12 @@ def fruit_of(document: Mapping[str, Any], review: Review | None) -> list[Reviewe
     feet = np.array([tree["position"] for tree in trees], np.float64).reshape(-1, 3)
     numbers = [tree["number"] for tree in trees]
 
-    def placed(fruit: ReviewedFruit) -> ReviewedFruit:
+    def place(fruit: ReviewedFruit) -> ReviewedFruit:
         if not numbers or fruit.tree is not None or fruit.standing != "added":
             return fruit
         return replace(fruit, tree=numbers[int(np.linalg.norm(feet - fruit.center, axis=1).argmin())])
 
-    return [placed(fruit) for fruit in review.fruits]
+    return [place(fruit) for fruit in review.fruits]
 
 
 def _fruit(entry: Mapping[str, Any], standing: Standing) -> ReviewedFruit:

@@ -19,7 +19,7 @@ from ..language.colours import fruit_colours
 from ..language.vocabulary import FRUIT_COLOURS, parse, split
 from ..storage.files import write_text
 from .ledger import TREES
-from .totals import SHARED_ALL, SHARED_VISIBLE, Amount, of_all, summed
+from .totals import SHARED_ALL, SHARED_VISIBLE, Amount, estimate_all, sum_amounts
 from .trees import CountedTree
 
 COLUMNS = (
@@ -89,13 +89,13 @@ def summary(trees: Sequence[CountedTree], *, all_trees: int | None, density: flo
         "density": density,
     }
     if len(set(map(_prompt, trees))) > 1:
-        by_prompt = _grouped(_prompt, done)
+        by_prompt = _group(_prompt, done)
         document["prompts"] = {each: {**_sums(own), **_numbers(own, density)} for each, own in by_prompt.items()}
     if all_trees is not None:
-        document["all_trees"] = _of_all(done, all_trees)
+        document["all_trees"] = _estimate_all(done, all_trees)
         for prompt, numbers in document.get("prompts", {}).items():
             # A tree of another prompt was drawn, too, and bears none of this fruit.
-            numbers["all_trees"] = _of_all(
+            numbers["all_trees"] = _estimate_all(
                 [tree if _prompt(tree) == prompt else replace(tree, counted=0, visible=NO_FRUIT) for tree in done],
                 all_trees,
             )
@@ -109,7 +109,7 @@ def _numbers(done: Sequence[CountedTree], density: float | None) -> dict[str, An
     # Each result without a scale has a unit of its own.
     comparable = metric or len({(tree.folder, tree.metric) for tree in done}) == 1
     return {
-        "rows": {row: _sums(own) for row, own in _grouped(lambda tree: tree.entry.row, done).items()},
+        "rows": {row: _sums(own) for row, own in _group(lambda tree: tree.entry.row, done).items()},
         "unit": "m" if metric else "scene units",
         "diameters": _spread(diameters) if comparable else None,
         "no_diameters": "" if comparable or not len(diameters) else NO_SIZES,
@@ -119,14 +119,14 @@ def _numbers(done: Sequence[CountedTree], density: float | None) -> dict[str, An
     }
 
 
-def _of_all(done: Sequence[CountedTree], all_trees: int) -> dict[str, Any]:
-    """The estimate for all trees of the block from the counted ones, or why there is none."""
+def _estimate_all(done: Sequence[CountedTree], all_trees: int) -> dict[str, Any]:
+    """Return the estimate for all trees of the block from the counted ones, or why there is none."""
     amounts = [tree.visible for tree in done if tree.visible is not None]
     if len(amounts) < len(done):
         without = f"{len(done) - len(amounts)} of {len(done)} counted trees have no interval"
         return {"trees": all_trees, "no_estimate": without}
     try:
-        return {"trees": all_trees, **_ends(of_all(amounts, list(map(_kind, done)), all_trees), "")}
+        return {"trees": all_trees, **_ends(estimate_all(amounts, list(map(_kind, done)), all_trees), "")}
     except ConfigError as error:
         return {"trees": all_trees, "no_estimate": str(error)}
 
@@ -147,8 +147,8 @@ def _prompt(tree: CountedTree) -> str:
     return " or ".join(tree.entry.prompt)
 
 
-def _grouped(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -> dict[str, list[CountedTree]]:
-    """{name: the trees with that name}; trees whose name is empty are left out."""
+def _group(name: Callable[[CountedTree], str], trees: Sequence[CountedTree]) -> dict[str, list[CountedTree]]:
+    """Return {name: the trees with that name}; trees whose name is empty are left out."""
     found: dict[str, list[CountedTree]] = {}
     for tree in trees:
         if name(tree):
@@ -167,7 +167,7 @@ def _sums(trees: Sequence[CountedTree]) -> dict[str, Any]:
 def _sum(amounts: Sequence[Amount | None], trees: Sequence[CountedTree], shared: float) -> Amount | None:
     """The sum of what is known of trees; None if it is unknown of one of them, or without trees."""
     known = [amount for amount in amounts if amount is not None]
-    return summed(known, list(map(_kind, trees)), shared) if known and len(known) == len(trees) else None
+    return sum_amounts(known, list(map(_kind, trees)), shared) if known and len(known) == len(trees) else None
 
 
 def _colours(trees: Sequence[CountedTree]) -> dict[str, int]:

@@ -30,17 +30,17 @@ class Amount:
     high: float
 
 
-def summed(amounts: Sequence[Amount], kinds: Sequence[str], shared: float) -> Amount:
-    """The sum of trees' numbers. kinds: of the fruit of each tree; shared: part of each variance that is one error of
-    all trees of a kind, which adds up linearly. The rest, and the errors of different kinds, are independent."""
+def sum_amounts(amounts: Sequence[Amount], kinds: Sequence[str], shared: float) -> Amount:
+    """Sum the trees' numbers. kinds: of the fruit of each tree; shared: part of each variance that is one error of all
+    trees of a kind, which adds up linearly. The rest, and the errors of different kinds, are independent."""
     likely = sum(amount.likely for amount in amounts)
-    below = _combined([amount.likely - amount.low for amount in amounts], kinds, shared)
-    above = _combined([amount.high - amount.likely for amount in amounts], kinds, shared)
+    below = _combine([amount.likely - amount.low for amount in amounts], kinds, shared)
+    above = _combine([amount.high - amount.likely for amount in amounts], kinds, shared)
     count = sum(amount.count for amount in amounts)
     return Amount(count=count, likely=likely, low=max(likely - below, 0.0), high=likely + above)
 
 
-def _combined(widths: Sequence[float], kinds: Sequence[str], shared: float) -> float:
+def _combine(widths: Sequence[float], kinds: Sequence[str], shared: float) -> float:
     by_kind = dict.fromkeys(kinds, 0.0)
     for width, kind in zip(widths, kinds, strict=True):
         by_kind[kind] += width
@@ -59,17 +59,17 @@ def require_sample(sample: int, trees: int) -> None:
         raise ConfigError(f"All trees are estimated from {LEAST_SAMPLE} counted ones or more, and here are {sample}")
 
 
-def of_all(amounts: Sequence[Amount], kinds: Sequence[str], trees: int) -> Amount:
-    """The number of visible fruit on all trees of a block, of which these were photographed, drawn at random (Cochran
-    1977, eq. 2.21): N · mean, with the variance between trees, Student's t and the finite population's correction, and
-    the errors of the counts themselves. kinds: of the fruit of each photographed tree.
+def estimate_all(amounts: Sequence[Amount], kinds: Sequence[str], trees: int) -> Amount:
+    """Estimate the number of visible fruit on all trees of a block, of which these were photographed, drawn at random
+    (Cochran 1977, eq. 2.21): N · mean, with the variance between trees, Student's t and the finite population's
+    correction, and the errors of the counts themselves. kinds: of the fruit of each photographed tree.
 
     Raises:
         ConfigError: as `require_sample`.
     """
     sample = len(amounts)
     require_sample(sample, trees)
-    whole = summed(amounts, kinds, SHARED_VISIBLE)
+    whole = sum_amounts(amounts, kinds, SHARED_VISIBLE)
     if trees == sample:
         return whole
     scale = trees / sample

@@ -78,16 +78,16 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
             try:
                 trees = _trees_of(entry, state, ledger.result(entry).path)
                 check = ledger.check(entry, state)
-                found += [_checked(tree, check) for tree in trees]
+                found += [_apply_check(tree, check) for tree in trees]
                 continue
             except FruitLangsError as error:
                 state = replace(state, stage="failed", reason=str(error))
-        found.append(CountedTree(entry=_placed(entry), state=state, folder=entry.id))
+        found.append(CountedTree(entry=_add_place(entry), state=state, folder=entry.id))
     return found
 
 
-def _checked(tree: CountedTree, check: Check) -> CountedTree:
-    """The tree with what has changed since it was counted."""
+def _apply_check(tree: CountedTree, check: Check) -> CountedTree:
+    """Return the tree with what has changed since it was counted."""
     return replace(tree, outdated=check.outdated, note=_notes(check.note, tree.note))
 
 
@@ -111,15 +111,15 @@ def _trees_of(entry: TreeEntry, state: TreeState, folder: Path) -> list[CountedT
     """
     document = parse_results(folder / FRUITS_JSON)
     try:
-        return _described(entry, state, document, folder)
+        return _read_trees(entry, state, document, folder)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise FormatError(
             f"{folder / FRUITS_JSON} is damaged ({type(error).__name__}: {error}). Delete it and count again"
         ) from error
 
 
-def _described(entry: TreeEntry, state: TreeState, document: dict[str, Any], folder: Path) -> list[CountedTree]:
-    """The trees that a result describes.
+def _read_trees(entry: TreeEntry, state: TreeState, document: dict[str, Any], folder: Path) -> list[CountedTree]:
+    """Read the trees that a result describes.
 
     Raises:
         KeyError, TypeError, ValueError: the result is damaged.
@@ -129,7 +129,9 @@ def _described(entry: TreeEntry, state: TreeState, document: dict[str, Any], fol
     if document.get("trees"):
         trees = _row(entry, state, document, fruits, reviewed, folder)
     else:
-        trees = [_counted(_placed(entry), state, document, fruits, reviewed, unit=document["unit"], folder=entry.id)]
+        trees = [
+            _make_counted(_add_place(entry), state, document, fruits, reviewed, unit=document["unit"], folder=entry.id)
+        ]
     unused = review is None and (folder / REVIEW).is_file()
     return [replace(tree, note=_notes(tree.note, UNUSED_REVIEW)) for tree in trees] if unused else trees
 
@@ -166,12 +168,12 @@ def _row(
             longitude=longitude,
         )
         bears = [fruit for fruit in fruits if fruit.tree == tree["number"]]
-        found.append(_counted(own, state, tree, bears, reviewed, unit=document["unit"], folder=entry.id))
+        found.append(_make_counted(own, state, tree, bears, reviewed, unit=document["unit"], folder=entry.id))
     elsewhere = sum(fruit.counts and fruit.tree is None for fruit in fruits)
     return [replace(found[0], elsewhere=elsewhere), *found[1:]]
 
 
-def _counted(
+def _make_counted(
     entry: TreeEntry,
     state: TreeState,
     said: dict[str, Any],
@@ -181,15 +183,15 @@ def _counted(
     unit: str,
     folder: str,
 ) -> CountedTree:
-    """A tree with its fruit. said: count and intervals of the tree before the review; unit: of the result."""
+    """Make a tree with its fruit. said: count and intervals of the tree before the review; unit: of the result."""
     count = int(said["count"])
     if not 0 <= count <= MOST_FRUIT:
         raise ValueError(f"{count} fruit")
     visible, hidden = _visible(said, count), _total(said, count)
     standing = [fruit for fruit in fruits if fruit.counts]
     if reviewed:
-        visible = None if visible is None else _reviewed(visible, fruits)
-        hidden = None if hidden is None or visible is None else _moved(hidden, visible)
+        visible = None if visible is None else _apply_review(visible, fruits)
+        hidden = None if hidden is None or visible is None else _shift_total(hidden, visible)
     return CountedTree(
         entry=entry,
         state=state,
@@ -246,8 +248,8 @@ def _amount(count: int, likely: float, low: float, high: float) -> Amount:
     return Amount(count=count, likely=likely, low=low, high=high)
 
 
-def _reviewed(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
-    """The number of fruit after a review, with the interval that it leaves."""
+def _apply_review(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
+    """Return the number of fruit after a review, with the interval that it leaves."""
     found = [fruit for fruit in review if fruit.standing != "added"]
     after = sum(fruit.counts for fruit in review)
     low, high = correct_interval(
@@ -263,8 +265,8 @@ def _reviewed(before: Amount, review: Sequence[ReviewedFruit]) -> Amount:
     return Amount(count=after, likely=float(likely), low=low, high=high)
 
 
-def _moved(total: Amount, visible: Amount) -> Amount:
-    """The number with hidden fruit after a review that changed the number of visible ones."""
+def _shift_total(total: Amount, visible: Amount) -> Amount:
+    """Return the number with hidden fruit after a review that changed the number of visible ones."""
     moved = [max(each + visible.count - total.count, visible.count) for each in (total.likely, total.low, total.high)]
     return Amount(count=visible.count, likely=moved[0], low=moved[1], high=moved[2])
 
@@ -278,8 +280,8 @@ def _tags(entry: TreeEntry, most: int) -> dict[str, GpsTag]:
     return {photo.name: tag for photo in chosen if (tag := _tag(photo)) is not None}
 
 
-def _placed(entry: TreeEntry) -> TreeEntry:
-    """The entry with the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
+def _add_place(entry: TreeEntry) -> TreeEntry:
+    """Give the entry the mean place of its photos, if they have GPS tags and the manifest does not give a place."""
     if entry.latitude is not None:
         return entry
     tags = _tags(entry, TAGS).values()

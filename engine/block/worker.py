@@ -44,7 +44,7 @@ def work(ledger: Ledger, run: str, *, count: Count = count_tree) -> int:
     """
     counted = 0
     for tree in ledger.trees():
-        with ledger.claimed(tree) as mine:
+        with ledger.claim(tree) as mine:
             if mine and ledger.state(tree).is_open:
                 counted += _attempt(ledger, tree, run, count)
     return counted

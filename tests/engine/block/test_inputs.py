@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from fruitlangs.engine.block import inputs as inputs_module
-from fruitlangs.engine.block.inputs import Inputs, check_inputs, read_inputs, source_files
+from fruitlangs.engine.block.inputs import Inputs, check_inputs, list_source_files, read_inputs
 from fruitlangs.engine.block.ledger import Ledger, TreeState
 from fruitlangs.engine.block.manifest import TreeEntry
 from fruitlangs.engine.block.worker import work
@@ -290,7 +290,7 @@ def test_a_state_with_damaged_inputs_is_a_tree_that_waits(inputs: object, ledger
 
 def test_a_tree_that_another_process_counts_is_not_reopened(ledger: Ledger, tree: TreeEntry) -> None:
     photo(tree.source / "images" / "3.jpg")
-    with ledger.claimed(tree):
+    with ledger.claim(tree):
         ledger.reopen()
         assert ledger.state(tree).stage == "done"
 
@@ -308,5 +308,5 @@ def test_only_a_tree_that_is_done_is_compared_with_its_inputs(ledger: Ledger, tr
 def test_files_are_listed_and_not_read(tree: TreeEntry, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "open", lambda *_, **__: pytest.fail("read"))
     monkeypatch.setattr(Path, "read_bytes", lambda *_: pytest.fail("read"))
-    assert len(source_files(tree.source)) == 7
+    assert len(list_source_files(tree.source)) == 7
     assert TreeState(stage="done", inputs=read_inputs(tree)).inputs.files

@@ -25,7 +25,7 @@ from fruitlangs.engine.block.page import write_page
 from fruitlangs.engine.block.publish import publish_again, publish_block
 from fruitlangs.engine.block.reviews import REVIEW, Review, ReviewedFruit, read_review, write_review
 from fruitlangs.engine.block.tables import geojson, rows_of, summary, write_tables
-from fruitlangs.engine.block.totals import SHARED_ALL, SHARED_VISIBLE, Amount, of_all, summed
+from fruitlangs.engine.block.totals import SHARED_ALL, SHARED_VISIBLE, Amount, estimate_all, sum_amounts
 from fruitlangs.engine.block.trees import CountedTree, fruit_text, read_counts
 from fruitlangs.engine.counting.accounts.review import Decision, Standing, ball
 from fruitlangs.engine.errors import ConfigError, OutputError
@@ -34,27 +34,27 @@ TREE = Amount(count=10, likely=12.0, low=10.0, high=16.0)
 
 
 def test_the_shared_part_of_each_variance_adds_up_linearly_and_the_rest_as_independent_errors() -> None:
-    whole = summed([TREE] * 100, ["apple"] * 100, 0.3)
+    whole = sum_amounts([TREE] * 100, ["apple"] * 100, 0.3)
     assert (whole.count, whole.likely) == (1000, 1200.0)
     assert whole.high - whole.likely == pytest.approx(4.0 * math.sqrt(0.7 * 100 + 0.3 * 100**2))
     assert whole.likely - whole.low == pytest.approx(0.5 * (whole.high - whole.likely))
 
 
 def test_errors_are_shared_within_a_kind_of_fruit_and_independent_between_kinds() -> None:
-    together = summed([TREE] * 4, ["apple", "pear", "apple", "apple"], 1.0)
+    together = sum_amounts([TREE] * 4, ["apple", "pear", "apple", "apple"], 1.0)
     assert together.high - together.likely == pytest.approx(4.0 * math.hypot(3, 1))
     assert together.likely - together.low == pytest.approx(2.0 * math.hypot(3, 1))
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.3, 1.0])
 def test_the_interval_of_one_tree_is_its_own(shared: float) -> None:
-    assert summed([TREE], ["apple"], shared) == TREE
+    assert sum_amounts([TREE], ["apple"], shared) == TREE
 
 
 def test_all_trees_are_estimated_from_a_sample_with_the_spread_between_trees() -> None:
-    alike = of_all([TREE] * 10, ["apple"] * 10, 100)
+    alike = estimate_all([TREE] * 10, ["apple"] * 10, 100)
     assert alike.likely == pytest.approx(120.0 * 10)
-    different = of_all([Amount(count=k, likely=k, low=k, high=k) for k in range(5, 15)], ["apple"] * 10, 100)
+    different = estimate_all([Amount(count=k, likely=k, low=k, high=k) for k in range(5, 15)], ["apple"] * 10, 100)
     spread = np.std(np.arange(5, 15), ddof=1)
     expected = 100 * spread / math.sqrt(10) * math.sqrt(0.9) * 1.8331  # Student's t of 9 degrees, 95 %
     assert different.likely == pytest.approx(950.0)
@@ -63,7 +63,7 @@ def test_all_trees_are_estimated_from_a_sample_with_the_spread_between_trees() -
 
 def test_a_sample_of_all_trees_is_their_sum() -> None:
     kinds = ["apple", "apple", "pear", "pear"]
-    assert of_all([TREE] * 4, kinds, 4) == summed([TREE] * 4, kinds, SHARED_VISIBLE)
+    assert estimate_all([TREE] * 4, kinds, 4) == sum_amounts([TREE] * 4, kinds, SHARED_VISIBLE)
 
 
 def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
@@ -72,7 +72,7 @@ def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
     for _ in range(400):
         block = random.poisson(random.gamma(20.0, 5.0, 60))
         sample = random.choice(block, 12, replace=False)
-        found = of_all(
+        found = estimate_all(
             [Amount(count=int(k), likely=float(k), low=float(k), high=float(k)) for k in sample], ["apple"] * 12, 60
         )
         held += found.low <= block.sum() <= found.high
@@ -82,12 +82,12 @@ def test_the_interval_for_all_trees_holds_nine_times_in_ten() -> None:
 @pytest.mark.parametrize(("sample", "trees", "text"), [(5, 4, "more than the 4 of the block"), (2, 9, "or more")])
 def test_an_impossible_sample_is_an_error(sample: int, trees: int, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        of_all([TREE] * sample, ["apple"] * sample, trees)
+        estimate_all([TREE] * sample, ["apple"] * sample, trees)
 
 
 @pytest.mark.parametrize("trees", [3, 4, 5])
 def test_the_interval_of_all_trees_holds_its_most_likely_number(trees: int) -> None:
-    found = of_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, ["apple"] * 3, trees)
+    found = estimate_all([Amount(count=10, likely=7.0, low=6.0, high=10.0)] * 3, ["apple"] * 3, trees)
     assert found.low <= found.likely <= found.high
 
 

@@ -101,7 +101,7 @@ def test_a_cancelled_tree_waits(ledger: Ledger) -> None:
 
 def test_a_tree_that_another_worker_holds_is_left_to_it(ledger: Ledger) -> None:
     held = ledger.trees()[2]
-    with ledger.claimed(held) as mine:
+    with ledger.claim(held) as mine:
         assert mine
         ledger.write(held, TreeState(stage="running", fingerprint=held.fingerprint, run="other"))
         assert work(ledger, "one", count=counted) == 3
@@ -239,5 +239,5 @@ def test_a_failed_tree_has_no_count_in_the_tables(ledger: Ledger) -> None:
 def test_workers_share_the_cores_and_have_memory_enough(
     given: Workers, trees: int, cores: int, free: int, expected: tuple[int, int]
 ) -> None:
-    jobs = given.fitting(trees, cores, free)
+    jobs = given.count_workers(trees, cores, free)
     assert (jobs, given.threads(jobs, cores)) == expected
