@@ -20,7 +20,7 @@ from _terminal import arguments_of, run
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.datasets import fruitnerf, fuji, pfuji
 from fruitlangs.engine.evaluation.datasets.cloud import ColoredCloud, write_cloud
-from fruitlangs.engine.evaluation.datasets.imported import ImportedTruth, read_similarity, transformed, write_truth
+from fruitlangs.engine.evaluation.datasets.imported import ImportedTruth, read_similarity, transform, write_truth
 from fruitlangs.engine.evaluation.trees import tally
 
 LAYOUTS = (fruitnerf.LAYOUT, pfuji.LAYOUT, fuji.LAYOUT)
@@ -36,7 +36,7 @@ def main(given: Sequence[str] | None = None) -> None:
     _refuse_other_flags(arguments)
     imported, cloud = _read(arguments)
     if arguments.transform is not None:
-        imported = transformed(imported, read_similarity(arguments.transform))
+        imported = transform(imported, read_similarity(arguments.transform))
     if cloud is not None:
         write_cloud(arguments.cloud, cloud)
     write_truth(arguments.out, imported)

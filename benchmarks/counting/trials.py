@@ -11,7 +11,7 @@ from typing import Any
 
 from ...engine.errors import FormatError
 from ...engine.evaluation.judgement import judge
-from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
+from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, measure, measure_by_visibility
 from ...engine.evaluation.truth import Truth
 from ...engine.storage.files import files_hash
 from ...engine.storage.keys import stage_key
@@ -47,8 +47,8 @@ def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: T
         seed=seed,
         method=method,
         key=key,
-        metrics=measured(judgement, truth),
-        classes=tuple(by_visibility(judgement, truth, EDGES)),
+        metrics=measure(judgement, truth),
+        classes=tuple(measure_by_visibility(judgement, truth, EDGES)),
         touching=separated(found[0], truth),
     )
 

@@ -18,7 +18,7 @@ from ...engine.errors import FruitLangsError, VocabularyError
 from ...engine.evaluation.calibration import calibration_error
 from ...engine.evaluation.camera_errors import CameraErrors
 from ...engine.evaluation.judgement import Judgement, judge
-from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, by_visibility, measured
+from ...engine.evaluation.metrics import CountMetrics, VisibilityClass, measure, measure_by_visibility
 from ...engine.evaluation.renders import DEPTH, INSTANCES
 from ...engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 from ...engine.language.encoders.open_encoder import open_encoder
@@ -155,9 +155,9 @@ def _counted(row: StageResult, counted: Counted) -> StageResult:
 def _measured(row: StageResult, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> StageResult:
     return dataclasses.replace(
         row,
-        near=measured(judgement, truth),
-        far=measured(judge(counted.centers, counted.diameters, truth, 1.0), truth),
-        classes=by_visibility(judgement, truth),
+        near=measure(judgement, truth),
+        far=measure(judge(counted.centers, counted.diameters, truth, 1.0), truth),
+        classes=measure_by_visibility(judgement, truth),
         ece=_fruit_calibration(counted, judgement),
         mistakes=picture,
     )

@@ -72,11 +72,11 @@ def calibration_error(
     """
     hits = np.asarray(outcomes, bool).reshape(-1)
     both = balanced and hits.any() and not hits.all()
-    return reliability(probabilities, hits, weights=balanced_weights(hits) if both else None, bins=bins).error
+    return reliability(probabilities, hits, weights=balance_weights(hits) if both else None, bins=bins).error
 
 
-def balanced_weights(outcomes: NDArray[np.bool_], weights: FloatArray | None = None) -> FloatArray:
-    """(N,) weights that sum to one half over each of the two outcomes, both of which occur."""
+def balance_weights(outcomes: NDArray[np.bool_], weights: FloatArray | None = None) -> FloatArray:
+    """Return weights (N,) that sum to one half over each of the two outcomes, both of which occur."""
     given = np.ones(len(outcomes)) if weights is None else weights
     return np.where(outcomes, 0.5 * given / given[outcomes].sum(), 0.5 * given / given[~outcomes].sum())
 

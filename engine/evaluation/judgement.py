@@ -61,10 +61,10 @@ def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: floa
     left = np.setdiff1d(np.arange(len(centers)), pairs.predicted)
     ignored = left[match_centers(centers[left], truth.centers[hidden], reach).predicted]
     rest = np.setdiff1d(left, ignored)
-    double = _within(centers[rest], truth.centers, np.full(len(truth.centers), reach))
+    double = _find_within(centers[rest], truth.centers, np.full(len(truth.centers), reach))
     unmatched = np.setdiff1d(visible, pairs.true)
     reaches = np.maximum(reach, diameters[pairs.predicted] / 2.0)
-    merged = _within(truth.centers[unmatched], centers[pairs.predicted], reaches)
+    merged = _find_within(truth.centers[unmatched], centers[pairs.predicted], reaches)
     return Judgement(
         radius=radius,
         diameters=diameters,
@@ -77,8 +77,8 @@ def judge(centers: FloatArray, diameters: FloatArray, truth: Truth, radius: floa
     )
 
 
-def _within(points: FloatArray, centers: FloatArray, reaches: FloatArray) -> NDArray[np.bool_]:
-    """(A,) whether each of the points (A, 3) lies within its reach (B,) of any centre (B, 3)."""
+def _find_within(points: FloatArray, centers: FloatArray, reaches: FloatArray) -> NDArray[np.bool_]:
+    """Find whether each of the points (A, 3) lies within its reach (B,) of any centre (B, 3)."""
     inside = np.zeros(len(points), bool)
     inside[pairs_within(points, centers, reaches)[0]] = True
     return inside

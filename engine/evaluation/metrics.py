@@ -73,11 +73,11 @@ def count_metrics(centers: FloatArray, diameters: FloatArray, truth: Truth, radi
     Raises:
         CountingError: as `judge`.
     """
-    return measured(judge(centers, diameters, truth, radius), truth)
+    return measure(judge(centers, diameters, truth, radius), truth)
 
 
-def measured(judgement: Judgement, truth: Truth) -> CountMetrics:
-    """The figures of a judgement against `truth`."""
+def measure(judgement: Judgement, truth: Truth) -> CountMetrics:
+    """Measure the figures of a judgement against `truth`."""
     predicted, visible = judgement.predictions, int(truth.visible.sum())
     total = truth.total
     matched, counted = len(judgement.pairs), predicted - len(judgement.ignored)
@@ -103,10 +103,10 @@ def measured(judgement: Judgement, truth: Truth) -> CountMetrics:
     )
 
 
-def by_visibility(
+def measure_by_visibility(
     judgement: Judgement, truth: Truth, edges: Sequence[float] = VISIBILITY_EDGES
 ) -> list[VisibilityClass]:
-    """Recall and errors by the largest visible fraction; edges: bounds of the classes, ascending."""
+    """Measure recall and errors by the largest visible fraction; edges: bounds of the classes, ascending."""
     classes = []
     last = len(edges) - 2
     for number, (low, high) in enumerate(pairwise(edges)):

@@ -56,7 +56,7 @@ def check_instances(truth: Truth, cameras: Sequence[Camera], instances: Sequence
         shown = np.isin(truth.ids[visible], np.unique(mask))
         masks += int(shown.sum())
         agreeing += sum(
-            _seen_at(camera, mask, truth.centers[fruit], truth.diameters[fruit], int(truth.ids[fruit]))
+            _is_seen_at(camera, mask, truth.centers[fruit], truth.diameters[fruit], int(truth.ids[fruit]))
             for fruit in visible[shown]
         )
     if len(visible) and agreeing < max(LEAST_AGREEMENT * masks, 1):
@@ -89,7 +89,7 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
     return values.astype(np.uint16)
 
 
-def _seen_at(
+def _is_seen_at(
     camera: Camera, mask: NDArray[np.uint16], center: NDArray[np.float64], diameter: float, number: int
 ) -> bool:
     (u, v), z = camera.project(center)

@@ -74,7 +74,7 @@ def true_surface(
         zip(scene.cameras, scene.images, depths, instances, strict=True)
     ):
         progress(view / len(scene.cameras), f"true surface of view {view + 1} of {len(scene.cameras)}")
-        parts.append(_seen(camera, photo.pixels(), depth, ids, step, first=view % step))
+        parts.append(_read_view(camera, photo.pixels(), depth, ids, step, first=view % step))
     seen = _Seen(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Seen.__dataclass_fields__))
     if len(seen.points) == 0:
         raise SceneError("The depths of all views are empty. Make the scene again")
@@ -85,10 +85,10 @@ def true_surface(
         width *= 1.25
         groups = _cells(seen, width)
     progress(1.0, "true surface")
-    return _merged(seen, groups, width)
+    return _merge(seen, groups, width)
 
 
-def _seen(
+def _read_view(
     camera: Camera,
     photo: NDArray[np.uint8],
     depth: NDArray[np.float32],
@@ -131,7 +131,7 @@ def _cells(seen: _Seen, width: float) -> NDArray[np.int64]:
     return np.unique(key, return_inverse=True)[1].reshape(-1).astype(np.int64)
 
 
-def _merged(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface:
+def _merge(seen: _Seen, groups: NDArray[np.int64], width: float) -> TrueSurface:
     counts = np.bincount(groups).astype(np.float64)
 
     def mean(values: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...engine.config import PRESETS, Preset, SceneConfig
-from ...engine.evaluation.calibration import balanced_weights
+from ...engine.evaluation.calibration import balance_weights
 from ...engine.evaluation.renders import read_instances
 from ...engine.language.encoders.embedded import Calibration, EmbeddedEncoder
 from ...engine.language.encoders.encoder import Question
@@ -121,7 +121,7 @@ def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
     """
     m, t = (np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("margins", "fruit"))
     shares = np.where(t, FRUIT_SHARE, 1.0 - FRUIT_SHARE)
-    w = shares * np.concatenate([balanced_weights(scene.fruit, scene.weights) for scene in scenes])
+    w = shares * np.concatenate([balance_weights(scene.fruit, scene.weights) for scene in scenes])
     temperature, bias = logistic(m, t, w)
     sharpest = max(temperature, SHARPEST)
     return Fit(Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature), FRUIT_SHARE)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...engine.evaluation.calibration import balanced_weights, reliability
+from ...engine.evaluation.calibration import balance_weights, reliability
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def judged(
         return None
     odds = np.clip(probability, 1e-9, 1.0 - 1e-9)
     moved = 1.0 / (1.0 + (1.0 - odds) / odds * prior / (1.0 - prior))
-    mass = balanced_weights(truth, weights)
+    mass = balance_weights(truth, weights)
     bins = reliability(moved, truth, weights=mass)
     return Judged(
         calibration_error=bins.error,

@@ -16,7 +16,7 @@ from ...language.vocabulary import FRUITS, parse
 from ...scene.camera import Camera
 from ...scene.formats.transforms import extra_fields, find_named_files, read_transforms
 from ...scene.photos.photo import FilePhoto, read_header
-from .imported import ImportedTruth, all_visible
+from .imported import ImportedTruth, assume_visible
 from .wavefront import read_objects
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +84,7 @@ def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path
     imported = ImportedTruth(
         layout=LAYOUT,
         label=_one_fruit(label if label is not None else _said_to_be(folder), folder),
-        truth=all_visible(centers, diameters),
+        truth=assume_visible(centers, diameters),
         names=names,
     )
     scene = read_transforms(folder)
@@ -103,7 +103,7 @@ def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path
     scale = float(np.cbrt(np.linalg.det(frame)))
     return replace(
         imported,
-        truth=all_visible(centers @ frame.T, scale * diameters),
+        truth=assume_visible(centers @ frame.T, scale * diameters),
         remarks=(f"{shares[best]:.0%} of centres lie on the fruit masks, with the mesh {_said(best)}",),
     )
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ..number_table import read_numbers
 from .cloud import ColoredCloud, cloud_of
-from .imported import ImportedTruth, all_visible
+from .imported import ImportedTruth, assume_visible
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def read_fuji_truth(folder: Path) -> ImportedTruth:
     return ImportedTruth(
         layout=LAYOUT,
         label="apple",
-        truth=all_visible(corners.mean(axis=1), sides.mean(axis=1), np.array([tree for tree, _, _ in named])),
+        truth=assume_visible(corners.mean(axis=1), sides.mean(axis=1), np.array([tree for tree, _, _ in named])),
         names=tuple(f"Tree{tree:02d}_{number:06d}" for tree, number, _ in named),
         metres_per_unit=1.0,
         remarks=(

@@ -33,16 +33,16 @@ class ImportedTruth:
     """Remarks for a reader before using it, one line each."""
 
 
-def all_visible(
+def assume_visible(
     centers: NDArray[np.float64], diameters: NDArray[np.float64], trees: NDArray[np.int64] | None = None
 ) -> Truth:
-    """Truth of fruit (M, 3), (M,) without visibility: visible, fraction 1."""
+    """Return the truth of fruit (M, 3), (M,) without visibility: visible, fraction 1."""
     count = len(diameters)
     return Truth(centers.reshape(-1, 3), diameters, np.ones(count, dtype=bool), np.ones(count), trees=trees)
 
 
-def transformed(imported: ImportedTruth, similarity: NDArray[np.float64]) -> ImportedTruth:
-    """The same fruit in another frame; similarity: (4, 4) rotation times one scale, and translation."""
+def transform(imported: ImportedTruth, similarity: NDArray[np.float64]) -> ImportedTruth:
+    """Return the same fruit in another frame; similarity: (4, 4) rotation times one scale, and translation."""
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     truth = imported.truth
     moved = replace(

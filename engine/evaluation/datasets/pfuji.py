@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ..number_table import read_numbers
 from .cloud import ColoredCloud, cloud_of
-from .imported import ImportedTruth, all_visible
+from .imported import ImportedTruth, assume_visible
 from .sphere_fit import fit_sphere
 
 FloatArray = NDArray[np.float64]
@@ -59,7 +59,7 @@ def read_pfuji(folder: Path, part: str | None = None) -> ScannedApples:
     names = [path.stem for path in files]
     centers, fitted = [], []
     for path, points in zip(files, rows, strict=True):
-        known, trusted = diameters.get(path.stem), _trusted(points)
+        known, trusted = diameters.get(path.stem), _select_trusted(points)
         alone = fit_sphere(trusted)
         sphere = alone if known is None else fit_sphere(trusted, known / 2.0)
         if sphere is None:
@@ -72,7 +72,7 @@ def read_pfuji(folder: Path, part: str | None = None) -> ScannedApples:
     imported = ImportedTruth(
         layout=LAYOUT,
         label="apple",
-        truth=all_visible(np.stack(centers), true),
+        truth=assume_visible(np.stack(centers), true),
         names=tuple(names),
         metres_per_unit=1.0,
         remarks=_remarks(np.array(fitted), true, measured),
@@ -124,8 +124,8 @@ def _is_number(cells: Sequence[str]) -> bool:
     return True
 
 
-def _trusted(rows: FloatArray) -> FloatArray:
-    """(P, 3) the points confirmed by more than one photo (column 8 above 1), or all if there are too few."""
+def _select_trusted(rows: FloatArray) -> FloatArray:
+    """Select the points (P, 3) confirmed by more than one photo (column 8 above 1), or all if there are too few."""
     confirmed = rows[rows[:, 7] > 1.0] if rows.shape[1] > 8 else rows
     return (confirmed if len(confirmed) >= LEAST_TRUSTED else rows)[:, :3]
 

@@ -37,7 +37,7 @@ def fit_sphere(points: FloatArray, radius: float | None = None, seed: int = 0) -
     Seeded trials of four points each; the one near most points starts a least-squares fit with redescending weights.
     For one visible side, centre and radius are correlated: with a measured `radius` only the centre is free.
     """
-    points = _thinned(points)
+    points = _thin(points)
     if len(points) < LEAST_POINTS:
         return None
     middle = points.mean(axis=0)
@@ -45,12 +45,12 @@ def fit_sphere(points: FloatArray, radius: float | None = None, seed: int = 0) -
     start = _best_trial(local, radius, np.random.default_rng(seed))
     if start is None:
         return None
-    fitted = _refined(local, start, free=radius is None)
+    fitted = _refine(local, start, free=radius is None)
     return FittedSphere(fitted.center + middle, fitted.radius)
 
 
-def _thinned(points: FloatArray) -> FloatArray:
-    """At most a few thousand distinct points, evenly sampled: scans repeat points."""
+def _thin(points: FloatArray) -> FloatArray:
+    """Take at most a few thousand distinct points, evenly sampled: scans repeat points."""
     distinct = np.unique(np.asarray(points, dtype=np.float64), axis=0)
     if len(distinct) <= _MOST_POINTS:
         return distinct
@@ -78,8 +78,9 @@ def _best_trial(points: FloatArray, radius: float | None, generator: np.random.G
     return FittedSphere(centers[best], float(radii[best]) if radius is None else radius)
 
 
-def _refined(points: FloatArray, start: FittedSphere, *, free: bool) -> FittedSphere:
-    """Gauss-Newton on the distances from the surface; weights fall off beyond a width that narrows."""
+def _refine(points: FloatArray, start: FittedSphere, *, free: bool) -> FittedSphere:
+    """Refine a sphere by Gauss-Newton on the distances from the surface; weights fall off beyond a width that
+    narrows."""
     center, radius = start.center, start.radius
     for step in range(30):
         offset = points - center

@@ -12,7 +12,7 @@ from fruitlangs.engine.counting.geometry.matching import match_centers
 from fruitlangs.engine.errors import CountingError, FormatError, VocabularyError
 from fruitlangs.engine.evaluation.calibration import calibration_error, interval_coverage
 from fruitlangs.engine.evaluation.judgement import judge
-from fruitlangs.engine.evaluation.metrics import by_visibility, count_metrics
+from fruitlangs.engine.evaluation.metrics import count_metrics, measure_by_visibility
 from fruitlangs.engine.evaluation.summary import summarise
 from fruitlangs.engine.evaluation.truth import Truth, read_truth, read_views, true_labels
 
@@ -168,7 +168,7 @@ def test_a_judgement_names_every_prediction_and_every_visible_fruit_once() -> No
 def test_errors_are_reported_by_visible_fraction() -> None:
     truth = Truth(ROW, np.ones(3), np.ones(3, bool), np.array([0.15, 0.3, 1.0]))
     judgement = judge(ROW[1:] + [0.1, 0, 0], np.array([1.2, 1.0]), truth)
-    little, some, most = (by_visibility(judgement, truth, (0.1, 0.25, 0.5, 1.0))[k] for k in range(3))
+    little, some, most = (measure_by_visibility(judgement, truth, (0.1, 0.25, 0.5, 1.0))[k] for k in range(3))
     assert (little.visible, little.recall, np.isnan(little.center_error)) == (1, 0.0, True)
     assert (some.recall, some.center_error, some.diameter_error) == (1.0, pytest.approx(0.1), pytest.approx(0.2))
     assert (most.visible, most.diameter_error) == (1, 0.0)

@@ -14,7 +14,7 @@ from fruitlangs.engine.config import CountConfig
 from fruitlangs.engine.counting.count import count_fruit
 from fruitlangs.engine.errors import FormatError, SceneError
 from fruitlangs.engine.evaluation.metrics import count_metrics
-from fruitlangs.engine.evaluation.renders import _seen_at, check_instances, read_depths, read_instances
+from fruitlangs.engine.evaluation.renders import _is_seen_at, check_instances, read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import TrueSurface, true_surface
 from fruitlangs.engine.evaluation.truth import read_truth
 from fruitlangs.engine.scene.camera import ArrayPhoto, Camera, Scene
@@ -81,9 +81,9 @@ def test_a_mask_of_tall_pixels_is_searched_along_each_axis_by_its_own_focal_leng
     camera = Camera(K=K, world_to_camera=np.eye(4), width=100, height=100)
     mask = np.zeros((100, 100), np.uint16)
     mask[88, 50] = 1
-    assert _seen_at(camera, mask, np.array([0.0, 0.0, 2.0]), 0.2, 1)
+    assert _is_seen_at(camera, mask, np.array([0.0, 0.0, 2.0]), 0.2, 1)
     mask[88, 50], mask[50, 60] = 0, 1
-    assert not _seen_at(camera, mask, np.array([0.0, 0.0, 2.0]), 0.2, 1)
+    assert not _is_seen_at(camera, mask, np.array([0.0, 0.0, 2.0]), 0.2, 1)
 
 
 @pytest.mark.parametrize(
