@@ -80,7 +80,7 @@ class Compilation:
 
 
 @contextmanager
-def compiled_ahead(progress: Progress, fraction: float) -> Iterator[None]:
+def compile_alongside(progress: Progress, fraction: float) -> Iterator[None]:
     """Compile the kernels of counting while the block runs; it ends when they are compiled, reporting at `fraction`.
 
     Does nothing on a computer that has counted before, or that cannot keep machine code.

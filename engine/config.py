@@ -50,8 +50,8 @@ def _wrong_kind(value: Any, kind: Any) -> str:
     return "Use a text." if kind is str and not isinstance(value, str) else ""
 
 
-def _finite(values: Any) -> tuple[float, ...]:
-    """The values as finite numbers; empty if they are not a list of finite numbers."""
+def _to_finite(values: Any) -> tuple[float, ...]:
+    """Return the values as finite numbers; empty if they are not a list of finite numbers."""
     try:
         numbers = tuple(float(value) for value in values)
     except (TypeError, ValueError):
@@ -59,8 +59,8 @@ def _finite(values: Any) -> tuple[float, ...]:
     return numbers if all(map(math.isfinite, numbers)) else ()
 
 
-def _spaced(values: Any) -> str:
-    """A list as typed on a command line."""
+def _format_list(values: Any) -> str:
+    """Write a list as typed on a command line."""
     if not isinstance(values, tuple | list):
         return repr(values)
     return " ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
@@ -84,7 +84,7 @@ class SceneConfig(_Checked):
         super().__post_init__()
         if self.up is None:
             return
-        up = _finite(self.up)
+        up = _to_finite(self.up)
         if len(up) != 3 or not any(up):
             raise ConfigError(f"--scene.up is {self.up}. Use three finite numbers, not all 0, for example 0 0 1.")
         object.__setattr__(self, "up", up)  # JSON gives lists
@@ -283,7 +283,9 @@ class CountConfig(_Checked):
         if self.box is not None and self.polygon is not None:
             raise ConfigError("--count.box and --count.polygon are both given. Use one of them.")
         if self.box is not None and any(self.box[axis] == self.box[axis + 3] for axis in range(3)):
-            raise ConfigError(f"--count.box {_spaced(self.box)} has no volume. Its corners must differ in x, y and z.")
+            raise ConfigError(
+                f"--count.box {_format_list(self.box)} has no volume. Its corners must differ in x, y and z."
+            )
         self._check_heights()
         if self.tree_places is None:
             return
@@ -299,9 +301,9 @@ class CountConfig(_Checked):
         """Make the heights a pair of finite numbers in ascending order."""
         if self.heights is None:
             return
-        heights = _finite(self.heights)
+        heights = _to_finite(self.heights)
         if len(heights) != 2 or heights[0] == heights[1]:
-            raise ConfigError(f"--count.heights is {_spaced(self.heights)}. Use two different finite numbers.")
+            raise ConfigError(f"--count.heights is {_format_list(self.heights)}. Use two different finite numbers.")
         if self.polygon is None:
             raise ConfigError("--count.heights needs --count.polygon. Give the outline too.")
         object.__setattr__(self, "heights", (min(heights), max(heights)))
@@ -311,10 +313,12 @@ class CountConfig(_Checked):
         given = getattr(self, name)
         if given is None:
             return
-        numbers = _finite(given)
+        numbers = _to_finite(given)
         if len(numbers) % 3 or not enough(len(numbers) // 3):
             flag = f"--count.{name.replace('_', '-')}"
-            raise ConfigError(f"{flag} is {_spaced(given)}. Use {expected}, all finite numbers in the scene frame.")
+            raise ConfigError(
+                f"{flag} is {_format_list(given)}. Use {expected}, all finite numbers in the scene frame."
+            )
         object.__setattr__(self, name, numbers)  # JSON gives lists, Blender text
 
 
@@ -395,14 +399,14 @@ class Config:
         """
         document = {"units": {}, **document}  # results from before there were units
         try:
-            return cls(**{name: stage(**_without_removed(name, document[name])) for name, stage in STAGES.items()})
+            return cls(**{name: stage(**_drop_removed(name, document[name])) for name, stage in STAGES.items()})
         except (KeyError, TypeError) as error:
             raise ConfigError(
                 f"The stored settings are from another version ({error}). Count again from the photos."
             ) from error
 
-    def changed(self) -> frozenset[str]:
-        """The settings that are not at their default, as "stage.setting"."""
+    def list_changed(self) -> frozenset[str]:
+        """List the settings that are not at their default, as "stage.setting"."""
         return frozenset(
             f"{stage}.{each.name}"
             for stage, usual in STAGES.items()
@@ -427,19 +431,19 @@ REMOVED: dict[str, dict[str, float]] = {
 """{stage: {setting: value}} of settings of version 0.1 that are constants now; its results still hold them."""
 
 
-def without_effect(settings: _Checked) -> tuple[str, ...]:
-    """The names of those settings of a stage that do not change a result."""
+def list_ineffective(settings: _Checked) -> tuple[str, ...]:
+    """List the names of those settings of a stage that do not change a result."""
     return WITHOUT_EFFECT.get(type(settings), ())
 
 
-def decisive(settings: _Checked) -> dict[str, Any]:
-    """The settings of a stage that change a result: equal ones give equal results."""
-    unused = without_effect(settings)
+def select_decisive(settings: _Checked) -> dict[str, Any]:
+    """Select the settings of a stage that change a result: equal ones give equal results."""
+    unused = list_ineffective(settings)
     return {each.name: getattr(settings, each.name) for each in fields(settings) if each.name not in unused}  # type: ignore[arg-type]
 
 
-def _without_removed(stage: str, stored: Mapping[str, Any]) -> dict[str, Any]:
-    """A stage's stored settings without those that are constants now.
+def _drop_removed(stage: str, stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stage's stored settings without those that are constants now.
 
     Raises:
         ConfigError: a removed setting was not at its default.

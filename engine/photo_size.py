@@ -55,8 +55,8 @@ def growth(photos: Sequence[Photo], side: float = np.inf) -> FloatArray:
     return factors
 
 
-def scaled_down(photos: Sequence[Photo]) -> list[FilePhoto]:
-    """The photos whose files are larger than they were read."""
+def find_scaled_down(photos: Sequence[Photo]) -> list[FilePhoto]:
+    """Find the photos whose files are larger than they were read."""
     factors = growth(photos)
     return [
         photo for photo, factor in zip(photos, factors, strict=True) if factor > 1.0 and isinstance(photo, FilePhoto)
@@ -68,14 +68,14 @@ def fruit_angle(
 ) -> float | None:
     """The most common width of fruit in some of the photos, over their focal lengths; None if they show few."""
     progress(0.0, "Measuring the width of fruit in a few photos")
-    chosen = some_of(len(photos))
+    chosen = choose_some(len(photos))
     return fruit_width(
         [photos[index].pixels() for index in chosen], [focal_length(cameras[index]) for index in chosen], encoder
     )
 
 
-def some_of(count: int) -> list[int]:
-    """Which of so many photos are measured."""
+def choose_some(count: int) -> list[int]:
+    """Choose which of so many photos are measured."""
     return [int(index) for index in np.unique(np.linspace(0, count - 1, MEASURED).round())]
 
 
@@ -87,7 +87,7 @@ def fruit_width(pixels: Sequence[Pixels], units: Sequence[float], encoder: Dense
     sample orchard, read at 160 to 480 pixels a side, it is between 8 % below and 6 % above that of the counted fruit.
     """
     first = [tuple((min(side / max(photo.shape), MOST_ENLARGED),) for photo in pixels) for side in FIRST_SIDES]
-    tried = (_seen_width(pixels, units, scales, encoder) for scales in dict.fromkeys(first))
+    tried = (_measure_width(pixels, units, scales, encoder) for scales in dict.fromkeys(first))
     width = next((each for each in tried if each is not None), None)
     if width is None:
         return None
@@ -96,7 +96,7 @@ def fruit_width(pixels: Sequence[Pixels], units: Sequence[float], encoder: Dense
             encoder.scales_of(photo.shape[0], photo.shape[1], width * unit)
             for photo, unit in zip(pixels, units, strict=True)
         ]
-        finer = _seen_width(pixels, units, scales, encoder)
+        finer = _measure_width(pixels, units, scales, encoder)
         if finer is None or abs(np.log(finer / width)) < SETTLED:
             break
         width = finer
@@ -121,10 +121,10 @@ def scales_for(cameras: Sequence[Camera], angle: float | None, encoder: DenseEnc
     ]
 
 
-def _seen_width(
+def _measure_width(
     pixels: Sequence[Pixels], units: Sequence[float], scales: Sequence[Sequence[float]], encoder: DenseEncoder
 ) -> float | None:
-    """The width of fruit in photos, in their units, as an encoder sees them at these scales."""
+    """Measure the width of fruit in photos, in their units, as an encoder sees them at these scales."""
     found = []
     for photo, unit, own in zip(pixels, units, scales, strict=True):
         features = encoder.encode_dense(photo, own)
@@ -177,7 +177,7 @@ def width_notices(
     if pixel_width is None or pixel_width >= NARROW:
         return []
     small = f"the fruit are {pixel_width:.0f} pixels wide in the photos as read, and {ENOUGH_PIXELS:.0f} are needed"
-    reduced = scaled_down(photos)
+    reduced = find_scaled_down(photos)
     if not reduced or 2 * len(reduced) < len(photos):
         return [f"{small}: fruit may be missing. {CLOSER}"]
     read = max(max(photo.width, photo.height) for photo in reduced)

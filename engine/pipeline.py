@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from .compile_ahead import compiled_ahead
+from .compile_ahead import compile_alongside
 from .config import Config
 from .counting.accounts.ids import NO_FRUIT, KnownFruit
 from .counting.accounts.zero import Quality
@@ -27,10 +27,10 @@ from .language.prompts.selection import select
 from .photo_size import width_notices
 from .progress import Progress, part, silent
 from .publishing import Result, Writer, publish
-from .reconstruction import Reconstruction, reconstruct, reopen, with_fitting_photos
+from .reconstruction import Reconstruction, add_fitting_photos, reconstruct, reopen
 from .report.results import parse_known_fruit
 from .result_folder import ResultFolder
-from .scale import scaled
+from .scale import add_scale
 from .scene.source import Source
 from .splatting.rendering.device import DrawingCard, use_card
 from .splatting.training.card_step import adapter_for
@@ -120,11 +120,11 @@ def count_scene(
         template["template_sha256"] = file_hash(Path(config.count.template))
     folder = ResultFolder(out)
     run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
-    opened = _opened(source, imported, out, progress)
-    with folder.locked(), use_card(run.adapter) as card:
-        made = _before_prompts(opened, imported, run, part(progress, 0.0, 0.9))
-        known = _known(made, source, out)
-        with run.log.timed("count"):
+    opened = _open(source, imported, out, progress)
+    with folder.lock(), use_card(run.adapter) as card:
+        made = _prepare(opened, imported, run, part(progress, 0.0, 0.9))
+        known = _find_known(made, source, out)
+        with run.log.time_stage("count"):
             probability = select(made.features, encoder, prompts, negatives, config.count, made.gaussians.means)
             searched = Searched(
                 scene=made.scene,
@@ -152,9 +152,9 @@ def count_scene(
             notices=[
                 *run.log.notices,
                 *fruit_count.notices,
-                *_narrow(fruit_count, made),
-                *clumped(fruit_count, words),
-                *_drawing_problem(card),
+                *_note_narrow(fruit_count, made),
+                *note_clumped(fruit_count, words),
+                *_note_drawing_problem(card),
             ],
             out=out,
         )
@@ -194,16 +194,16 @@ def reconstruct_scene(
     folder = ResultFolder(out)
     embedder = Embedder.open(config.embed)
     run = Run(folder.cache, embedder, config, given, watch, *adapter_for(config.train, joint=embedder.trains))
-    opened = _opened(source, imported, out, progress)
-    with folder.locked(), use_card(run.adapter) as card:
-        made = _before_prompts(opened, imported, run, progress)
-    run.log.notices += _drawing_problem(card)
+    opened = _open(source, imported, out, progress)
+    with folder.lock(), use_card(run.adapter) as card:
+        made = _prepare(opened, imported, run, progress)
+    run.log.notices += _note_drawing_problem(card)
     progress(1.0, "Done")
     return made, run.log
 
 
-def _opened(path: Path, imported: Path | None, out: Path, progress: Progress) -> Source | ResultFolder:
-    """What is counted: an earlier result, or a source whose model is read and sound, so that a wrong path makes no
+def _open(path: Path, imported: Path | None, out: Path, progress: Progress) -> Source | ResultFolder:
+    """Open what is counted: an earlier result, or a source whose model is read and sound, so that a wrong path makes no
     folder.
 
     Raises:
@@ -226,16 +226,14 @@ def _opened(path: Path, imported: Path | None, out: Path, progress: Progress) ->
     return source
 
 
-def _before_prompts(
-    opened: Source | ResultFolder, imported: Path | None, run: Run, progress: Progress
-) -> Reconstruction:
-    """Everything that does not depend on the prompt, with its scale."""
+def _prepare(opened: Source | ResultFolder, imported: Path | None, run: Run, progress: Progress) -> Reconstruction:
+    """Prepare everything that does not depend on the prompt, with its scale."""
     encoder = run.embedder.encoder
     if run.config.units.object is not None:
         check_prompts(encoder, [run.config.units.object])
-    with compiled_ahead(progress, 1.0):
+    with compile_alongside(progress, 1.0):
         if isinstance(opened, ResultFolder):
-            with run.log.timed("scene"):
+            with run.log.time_stage("scene"):
                 document = opened.read()
             made = reopen(
                 opened,
@@ -243,37 +241,38 @@ def _before_prompts(
                 run.config,
                 run.log,
                 cache=run.cache,
-                given=run.config.changed() if run.given is None else run.given,
+                given=run.config.list_changed() if run.given is None else run.given,
                 encoder_id=encoder.identity,
             )
-            made = with_fitting_photos(made, encoder, run.cache, run.log, progress)
+            made = add_fitting_photos(made, encoder, run.cache, run.log, progress)
         else:
             made = reconstruct(opened, imported, run, progress)
-    return scaled(made, encoder, run.config.units, run.log)
+    return add_scale(made, encoder, run.config.units, run.log)
 
 
-def _narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
-    """A message if the photos that were trained on were scaled down until the fruit became too narrow."""
+def _note_narrow(fruit_count: FruitCount, made: Reconstruction) -> list[str]:
+    """Return a message if the photos that were trained on were scaled down until the fruit became too narrow."""
     if "imported" in made.origin:
         return []
     return width_notices(fruit_count.pixel_width, made.scene.images, made.scene.cameras, made.config)
 
 
-def _drawing_problem(card: DrawingCard | None) -> list[str]:
-    """A message if a graphics card did not draw all views."""
+def _note_drawing_problem(card: DrawingCard | None) -> list[str]:
+    """Return a message if a graphics card did not draw all views."""
     return [f"the CPU drew views: {card.problem}"] if card is not None and card.problem else []
 
 
-def clumped(fruit_count: FruitCount, taught: Mapping[str, object]) -> list[str]:
-    """A message if most of the fruit of a taught word touch one another: the word may have been shown bunches."""
+def note_clumped(fruit_count: FruitCount, taught: Mapping[str, object]) -> list[str]:
+    """Return a message if most of the fruit of a taught word touch one another: the word may have been shown
+    bunches."""
     touching = sum(fruit.kind == "compound-part" for fruit in fruit_count.fruits)
     if not taught or touching <= CLUMPED * fruit_count.count:
         return []
     return [f"{touching} of {fruit_count.count} fruit touch others and are counted one by one, not as bunches"]
 
 
-def _known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
-    """Fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
+def _find_known(made: Reconstruction, source: Path, out: Path) -> KnownFruit:
+    """Find fruit that were numbered before in this scene: from `out`, else from the result that is counted again."""
     for folder in map(ResultFolder, (out, source)):
         with suppress(FruitLangsError):
             known = parse_known_fruit(folder.read(verify=False), made.origin["inputs_sha256"])

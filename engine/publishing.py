@@ -109,7 +109,7 @@ def publish(
     folder = ResultFolder(result.out)
     try:
         with folder.staging() as staging:
-            with log.timed("report"):
+            with log.time_stage("report"):
                 (staging / PICTURES).mkdir()
                 hashed = _write_set(staging, result, made)
                 files = {name: file_hash(staging / name) for name in hashed}
@@ -135,18 +135,18 @@ def publish(
             write_text(staging / FRUITS_JSON, dump(document))
             names = [*hashed, *writers, FRUITS_JSON]
             (folder.path / PICTURES).mkdir(exist_ok=True)
-            folder.replace(staging, [SOURCE, *names], _stale(folder, names, keep))
+            folder.replace(staging, [SOURCE, *names], _find_stale(folder, names, keep))
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{result.out} cannot be written ({reason}). Free space or choose another --out") from error
     return dataclasses.replace(result, files=[result.out / name for name in names])
 
 
-def _stale(folder: ResultFolder, names: Sequence[str], keep: Path | None) -> list[str]:
-    """The pictures and the scene.blend of the earlier set that the new one lacks."""
+def _find_stale(folder: ResultFolder, names: Sequence[str], keep: Path | None) -> list[str]:
+    """Find the pictures and the scene.blend of the earlier set that the new one lacks."""
     old = [f"{PICTURES}/{path.name}" for path in (folder.path / PICTURES).glob("view_*.png")]
     blend = folder.path / BLEND
-    if BLEND in folder.listed() and (keep is None or keep.resolve() != blend.resolve()):
+    if BLEND in folder.list_files() and (keep is None or keep.resolve() != blend.resolve()):
         old.append(BLEND)
     return [name for name in old if name not in names]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .config import Config, decisive, without_effect
+from .config import Config, list_ineffective, select_decisive
 from .counting.evidence.pixel_width import focal_length
 from .errors import ConfigError, FruitLangsError, SceneError
 from .language.encoders.encoder import Encoder, sees_fruit, sees_whole
@@ -24,7 +24,7 @@ from .language.features.photo_features import (
     save_photo_features,
 )
 from .memory import camera_search_threads, require_memory
-from .photo_size import fruit_angle, needed_bytes, photo_scales, scaled_down, side_to_read
+from .photo_size import find_scaled_down, fruit_angle, needed_bytes, photo_scales, side_to_read
 from .progress import Progress, part, silent
 from .result_folder import SPOOL, ResultFolder
 from .scene.camera import Scene
@@ -39,7 +39,7 @@ from .splatting.imported.imported_gaussians import PLACED, import_gaussians, ren
 from .splatting.ply import read_ply
 from .storage.files import write_text
 from .storage.keys import stage_key
-from .training import CAMERAS, FEATURES, GAUSSIANS, Run, RunLog, trained
+from .training import CAMERAS, FEATURES, GAUSSIANS, Run, RunLog, train_scene
 
 PHOTOS = "photos.safetensors"
 FORMER_IMPORTED = "foreign"
@@ -92,10 +92,10 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     if run.embedder.trains and (alone or imported is not None):
         raise ConfigError("--features joint trains with the Gaussians, and these are given. Use --features lift")
     if alone:
-        return _with_imported(path, None, {"source": str(path)}, run, progress)
+        return _import_gaussians(path, None, {"source": str(path)}, run, progress)
     if imported is None and source.is_alone():
         start = 0.4
-        with run.log.timed("photos"):
+        with run.log.time_stage("photos"):
             source = source.stills(run.cache, progress=part(progress, 0.0, 0.1))
             photos, threads = source.photos_alone(), 1
             if photos is not None and not source.has_poses(run.cache, run.config.photos):
@@ -108,17 +108,17 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
         run.log.notices += source.notices
         run.log.reused += ["photos"] if source.reused else []
     progress = part(progress, start, 1.0)
-    with run.log.timed("scene"):
-        run = reading_larger(source, run, part(progress, 0.0, 0.01)) if imported is None else run
+    with run.log.time_stage("scene"):
+        run = read_larger(source, run, part(progress, 0.0, 0.01)) if imported is None else run
         scene = _read_photos(source, run, part(progress, 0.01, 0.03))
         inputs = {"source": str(path), "inputs_sha256": source.hash()}
     with spool_photos(scene, run.cache / SPOOL) as decoded_once:
         if imported is not None:
-            made = _with_imported(imported, decoded_once, inputs, run, progress)
+            made = _import_gaussians(imported, decoded_once, inputs, run, progress)
         else:
-            done = trained(decoded_once, inputs["inputs_sha256"], run, part(progress, 0.03, 0.75))
+            done = train_scene(decoded_once, inputs["inputs_sha256"], run, part(progress, 0.03, 0.75))
             origin = {**inputs, "training": done.results}
-            made = _made(done.folder, done.key, decoded_once, origin, run, part(progress, 0.75, 1.0))
+            made = _load_made(done.folder, done.key, decoded_once, origin, run, part(progress, 0.75, 1.0))
     return dataclasses.replace(made, scene=dataclasses.replace(made.scene, images=scene.images))
 
 
@@ -138,21 +138,21 @@ def _read_photos(source: Source, run: Run, progress: Progress) -> Scene:
     return scene
 
 
-def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run:
-    """The run with a larger `scene.max_side` if fruit would be too narrow and the user did not set the size.
+def read_larger(source: Source, run: Run, progress: Progress = silent) -> Run:
+    """Return the run with a larger `scene.max_side` if fruit would be too narrow and the user did not set the size.
 
     The decision is stored in the cache, because it depends on the free memory, and later prompts must find the same
     Gaussians.
     """
     config, encoder = run.config, run.embedder.encoder
-    given = config.changed() if run.given is None else set(run.given)
+    given = config.list_changed() if run.given is None else set(run.given)
     if {"scene.max_side", "scene.downscale"} & given or not sees_whole(encoder):
         return run
     scene = source.read(config.scene)
-    reduced = scaled_down(scene.images)
+    reduced = find_scaled_down(scene.images)
     if not reduced:
         return run
-    settings = config.scene, decisive(config.train)
+    settings = config.scene, select_decisive(config.train)
     key = stage_key((*ENCODING, "photo_size"), source.hash(), encoder.identity, *settings)
     record = run.cache / f"size-{key}.json"
     if record.is_file():
@@ -179,29 +179,29 @@ def reading_larger(source: Source, run: Run, progress: Progress = silent) -> Run
     )
 
 
-def _with_imported(
+def _import_gaussians(
     file: Path, scene: Scene | None, inputs: Mapping[str, str], run: Run, progress: Progress
 ) -> Reconstruction:
-    """An imported reconstruction with the scene's photos, or with its own renders."""
-    with run.log.timed("import"):
+    """Import a reconstruction, with the scene's photos, or with its own renders."""
+    with run.log.time_stage("import"):
         imported = import_gaussians(file, scene, inputs.get("inputs_sha256", ""), run.config.scene, run.cache)
     run.log.notices += imported.notices
     run.log.reused += ["import"] if imported.reused else []
     origin = {"inputs_sha256": imported.record["sha256"], **inputs, "imported": imported.record}
-    return _made(imported.folder, imported.key, scene, origin, run, part(progress, 0.1, 1.0))
+    return _load_made(imported.folder, imported.key, scene, origin, run, part(progress, 0.1, 1.0))
 
 
-def _made(
+def _load_made(
     folder: Path, key: str, scene: Scene | None, origin: Mapping[str, Any], run: Run, progress: Progress
 ) -> Reconstruction:
-    """What is in the folder of a stage, with features, and with the photos of the scene or else renders."""
+    """Load what is in the folder of a stage, with features, and with the photos of the scene or else renders."""
     # Read back even when just made: the first prompt must use the same bytes as later ones.
     gaussians, stored = read_ply(folder / GAUSSIANS), read_cameras(folder / CAMERAS)
     kept = scene is not None and sees_fruit(run.embedder.encoder)  # renders show nothing that Gaussians leave out
     scene = dataclasses.replace(scene, cameras=stored.cameras) if scene else render_again(gaussians, stored)
     if "training" not in origin:
         require_memory(len(gaussians), run.config, scene.cameras, trained=False)
-    embedded = folder / FEATURES if run.embedder.trains else _embed_into(key, scene, gaussians, run, progress, kept)
+    embedded = folder / FEATURES if run.embedder.trains else _embed(key, scene, gaussians, run, progress, kept)
     photos = embedded.with_name(PHOTOS) if kept else None
     files = Files(gaussians=folder / GAUSSIANS, cameras=folder / CAMERAS, features=embedded, photos=photos)
     untrained: dict[str, Any] = {"steps": 0, "gaussians": len(gaussians), "psnr": None, "ssim": None, "held_out": []}
@@ -219,12 +219,12 @@ def _photos(files: Files) -> PhotoFeatures | None:
     return None if files.photos is None else load_photo_features(files.photos)
 
 
-def _embed_into(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
-    """The file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with features
-    of the photos' pixels, in a file next to it."""
+def _embed(key: str, scene: Scene, gaussians: Gaussians, run: Run, progress: Progress, kept: bool) -> Path:
+    """Return the file of the features for these Gaussians, named by `key`; computed if it does not exist. kept: with
+    features of the photos' pixels, in a file next to it."""
     embed_key = stage_key(ENCODING, key, run.embedder.key, *run.device)
     features_file = run.cache / f"embed-{embed_key}" / FEATURES
-    with run.log.timed("embed"):
+    with run.log.time_stage("embed"):
         if features_file.is_file():
             run.log.reused.append("embed")
         else:
@@ -251,7 +251,7 @@ def reopen(
     given: Collection[str] = (),
     encoder_id: str | None = None,
 ) -> Reconstruction:
-    """An earlier result: its Gaussians and features, and its photos if they are still available.
+    """Open an earlier result: its Gaussians and features, and its photos if they are still available.
 
     document: its fruits.json; config, given: the settings of this run, and which of them the user gave; cache: where
     cameras that were found for its photos are kept; encoder_id: identity of the encoder that will query it, None if it
@@ -261,7 +261,7 @@ def reopen(
         ConfigError: it was made with other settings than were given, or with another encoder.
         OutputError, FormatError: a file of it is damaged.
     """
-    with log.timed("scene"):
+    with log.time_stage("scene"):
         stored = Config.from_document(document["config"])
         _require_same(folder.path, stored, config, given)
         photos = folder.path / PHOTOS if PHOTOS in document["files"] else None
@@ -281,7 +281,7 @@ def reopen(
         if config.scene.up is not None:
             scene = dataclasses.replace(scene, up=np.asarray(config.scene.up) / np.linalg.norm(config.scene.up))
         try:
-            scene = _with_photos(scene, gaussians, origin, folder, stored, cache)
+            scene = _add_photos(scene, gaussians, origin, folder, stored, cache)
         except FruitLangsError as error:  # from here on photos are only shown
             log.notices.append(f"no pictures were made: {error}")
     log.reused += ["train", "embed"]
@@ -293,10 +293,10 @@ def reopen(
     return Reconstruction(scene, gaussians, features, files, settings, origin, _photos(files))
 
 
-def _with_photos(
+def _add_photos(
     scene: Scene, gaussians: Gaussians, origin: Mapping[str, Any], folder: ResultFolder, stored: Config, cache: Path
 ) -> Scene:
-    """The scene of an earlier result with its photos.
+    """Return the scene of an earlier result with its photos.
 
     Raises:
         SceneError: they are missing, cannot be read, or have changed.
@@ -316,10 +316,10 @@ def _with_photos(
     return dataclasses.replace(photos, cameras=scene.cameras, up=scene.up, metres_per_unit=scene.metres_per_unit)
 
 
-def with_fitting_photos(
+def add_fitting_photos(
     made: Reconstruction, encoder: Encoder, cache: Path, log: RunLog, progress: Progress = silent
 ) -> Reconstruction:
-    """An earlier result with features of its photos' pixels that belong to this encoder.
+    """Return an earlier result with features of its photos' pixels that belong to this encoder.
 
     Those that other weights made, or an earlier version at scales that are not known, are computed again from the
     photos, in `cache`. Without the photos the result has none, and a notice says so.
@@ -352,7 +352,7 @@ def with_fitting_photos(
     key = stage_key(ENCODING, made.origin["inputs_sha256"], encoder.fruit_identity, settings)
     path = cache / f"pixels-{key}" / PHOTOS
     if not path.is_file():
-        with log.timed("embed"):
+        with log.time_stage("embed"):
             scales = photo_scales(scene, encoder, part(progress, 0.0, 0.1))
             save_photo_features(path, record_photos(scene, encoder, scales, progress=part(progress, 0.1, 1.0)))
     files = dataclasses.replace(made.files, photos=path)
@@ -370,7 +370,7 @@ def _require_same(folder: Path, stored: Config, config: Config, given: Collectio
     Raises:
         ConfigError: names the first of them.
     """
-    free = {"scene.up", *(f"{stage}.{name}" for stage in FIXED for name in without_effect(getattr(config, stage)))}
+    free = {"scene.up", *(f"{stage}.{name}" for stage in FIXED for name in list_ineffective(getattr(config, stage)))}
     for name in sorted(set(given) - free):
         stage, _, setting = name.partition(".")
         asked, before = (getattr(getattr(each, stage), setting) for each in (config, stored))

@@ -43,7 +43,7 @@ class ResultFolder:
         return (self.path / FRUITS_JSON).is_file()
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Be the only one who writes to the folder, which is made if it does not exist.
 
         Raises:
@@ -82,8 +82,8 @@ class ResultFolder:
                 )
         return document
 
-    def listed(self) -> Collection[str]:
-        """The names of the files of the set, without fruits.json; empty without a valid result."""
+    def list_files(self) -> Collection[str]:
+        """List the names of the files of the set, without fruits.json; empty without a valid result."""
         with suppress(FruitLangsError):
             document = self.read(verify=False)
             return [*document["files"], *document.get("unhashed_files", ())]
@@ -125,7 +125,7 @@ class ResultFolder:
     def replace(self, staging: Path, names: Sequence[str], stale: Collection[str] = ()) -> None:
         """Move the files `names` from `staging` into place, in this order, and remove the `stale` ones.
 
-        On an error, the earlier set is put back. If the process is killed in between, the next `read` or `locked`
+        On an error, the earlier set is put back. If the process is killed in between, the next `read` or `lock`
         puts it back.
 
         Raises:
@@ -139,7 +139,7 @@ class ResultFolder:
             added = [name for name in names if name not in kept]
             write_text(self.cache / _SWAP, json.dumps({"kept": kept, "added": added}))
         except OSError as error:
-            raise self._not_replaced(error) from error
+            raise self._make_error(error) from error
         try:
             for name in stale:
                 (self.path / name).unlink(missing_ok=True)
@@ -150,9 +150,9 @@ class ResultFolder:
         except OSError as error:
             with suppress(OutputError):  # otherwise the next reader tries again
                 self._undo()
-            raise self._not_replaced(error) from error
+            raise self._make_error(error) from error
 
-    def _not_replaced(self, error: OSError) -> OutputError:
+    def _make_error(self, error: OSError) -> OutputError:
         name = error.filename2 or error.filename or self.path
         return OutputError(
             f"{name} cannot be replaced ({error.strerror or error}), so the earlier result stays. Close other programs "

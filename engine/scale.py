@@ -19,8 +19,8 @@ LEAST_PROBABILITY = 0.5
 """Probability from which a Gaussian belongs to the measured object."""
 
 
-def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: RunLog) -> Reconstruction:
-    """`made` with its scale, in the scene and in the origin, if there is one.
+def add_scale(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: RunLog) -> Reconstruction:
+    """Return `made` with its scale, in the scene and in the origin, if there is one.
 
     An earlier result keeps its scale if the settings give no new one.
 
@@ -32,8 +32,8 @@ def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: RunL
     units = made.config.units if asked == UnitsConfig() else asked
     if made.scene.metres_per_unit is not None and units == made.config.units:
         return made
-    with log.timed("scale"):
-        scale = _measured(made, encoder, units, log)
+    with log.time_stage("scale"):
+        scale = _measure(made, encoder, units, log)
     origin = {key: value for key, value in made.origin.items() if key != "scale"}
     return dataclasses.replace(
         made,
@@ -43,7 +43,7 @@ def scaled(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: RunL
     )
 
 
-def _measured(made: Reconstruction, encoder: Encoder, units: UnitsConfig, log: RunLog) -> Scale | None:
+def _measure(made: Reconstruction, encoder: Encoder, units: UnitsConfig, log: RunLog) -> Scale | None:
     scene = made.scene
     scale = scale_by_length(units, camera_names(made.files.cameras), scene.cameras)
     if scale is None and units.object is not None and units.length is not None:

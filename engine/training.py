@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .config import Config, TrainConfig, decisive
+from .config import Config, TrainConfig, select_decisive
 from .counting.accounts.zero import Quality
 from .language.features.embedder import Embedder
 from .language.features.features import save_features
@@ -50,7 +50,7 @@ class RunLog:
         self.notices: list[str] = []
 
     @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
+    def time_stage(self, stage: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
         self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
@@ -89,8 +89,8 @@ class Trained:
     results: Mapping[str, Any]
 
 
-def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
-    """Gaussians of a scene's photos, from the cache if they are there. A long walk is trained in sections.
+def train_scene(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
+    """Return the Gaussians of a scene's photos, from the cache if they are there. A long walk is trained in sections.
 
     inputs: hash of what the scene was read from.
 
@@ -100,11 +100,11 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
     """
     embedder, config = run.embedder, run.config
     # The up direction does not affect training, only where a walk is cut.
-    settings = dataclasses.replace(config.scene, up=None), decisive(config.train)
+    settings = dataclasses.replace(config.scene, up=None), select_decisive(config.train)
     key = stage_key(("scene", "splatting", "compiled", "training"), inputs, *settings, *run.device)
     if embedder.trains:
         key = stage_key(("scene", "splatting", "language", "compiled"), key, embedder.key)
-    with run.log.timed("train"):
+    with run.log.time_stage("train"):
         walk = cut_walk(scene, photos=SECTION_PHOTOS, sections=config.scene.sections)
         if walk is not None and embedder.trains:
             run.log.notices.append("features are trained along, so the walk was not cut into sections")
@@ -118,7 +118,7 @@ def trained(scene: Scene, inputs: str, run: Run, progress: Progress) -> Trained:
         elif walk is not None:
             results = _train_walk(folder, scene, walk, run, progress)
         else:
-            longer = _with(run, grow_settings(config.train, scene.cameras, len(scene.cameras)))
+            longer = _change_settings(run, grow_settings(config.train, scene.cameras, len(scene.cameras)))
             require_memory(longer.config.train.max_gaussians, longer.config, scene.cameras, trained=True)
             results = _train_into(folder, scene, longer, progress)
         _report(results, run)
@@ -150,17 +150,19 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
     """
     config, count = run.config, len(walk.sections)
     scenes = [scene.of_views(section.photos) for section in walk.sections]
-    runs = [_as_long_as(each, run) for each in scenes]
+    runs = [_lengthen(each, run) for each in scenes]
     for alone, seen in zip(runs, scenes, strict=True):
         require_memory(alone.config.train.max_gaussians, config, seen.cameras, trained=True)
     folders = [folder.with_name(f"{folder.name}-{number}") for number in range(1, count + 1)]
     gaussians, results, cameras = list[Gaussians](), list[dict[str, Any]](), list(scene.cameras)
     for number, (section, own) in enumerate(zip(walk.sections, folders, strict=True)):
-        share = _named(part(progress, number / count, (number + 1) / count), f"section {number + 1} of {count}: ")
+        share = _prefix_messages(
+            part(progress, number / count, (number + 1) / count), f"section {number + 1} of {count}: "
+        )
         trained_alone = _read(own) or _train_into(own, scenes[number], runs[number], share)
         found, posed = read_ply(own / GAUSSIANS), read_cameras(own / CAMERAS).cameras
         if config.train.refine_poses:
-            found, posed = _anchored(found, posed, scenes[number].cameras)
+            found, posed = _anchor_section(found, posed, scenes[number].cameras)
         gaussians.append(found.select(torch.from_numpy(walk.cells(found.means.double().numpy()) == number)))
         owned = np.flatnonzero(walk.owners[section.photos] == number)
         for view in owned:
@@ -172,33 +174,33 @@ def _train_walk(folder: Path, scene: Scene, walk: Walk, run: Run, progress: Prog
     require_memory(len(joined), config, scene.cameras, trained=False)
     write_ply(folder / GAUSSIANS, joined)
     write_text(folder / CAMERAS, dump_cameras(dataclasses.replace(scene, cameras=cameras)))
-    together = _together(results, len(joined))
+    together = _combine_results(results, len(joined))
     write_text(folder / RECORD, json.dumps(together))
     for own in folders:
         shutil.rmtree(own, ignore_errors=True)
     return together
 
 
-def _as_long_as(section: Scene, run: Run) -> Run:
-    """The run with as many steps and Gaussians more as a section has photos more than usual, because others overlap,
-    and as large photos need."""
+def _lengthen(section: Scene, run: Run) -> Run:
+    """Return the run with as many steps and Gaussians more as a section has photos more than usual, because others
+    overlap, and as large photos need."""
     train = grow_settings(run.config.train, section.cameras)
     more = max(len(section.cameras) / SECTION_PHOTOS, 1.0)
     longer = dataclasses.replace(
         train, steps=round(more * train.steps), max_gaussians=round(more * train.max_gaussians)
     )
-    return _with(run, longer)
+    return _change_settings(run, longer)
 
 
-def _with(run: Run, train: TrainConfig) -> Run:
-    """The run with other settings of training."""
+def _change_settings(run: Run, train: TrainConfig) -> Run:
+    """Return the run with other settings of training."""
     return dataclasses.replace(run, config=dataclasses.replace(run.config, train=train))
 
 
-def _anchored(
+def _anchor_section(
     gaussians: Gaussians, posed: Sequence[Camera], given: Sequence[Camera]
 ) -> tuple[Gaussians, Sequence[Camera]]:
-    """A section whose cameras were refined, back in the frame of the given ones, which all sections share: refined
+    """Bring a section whose cameras were refined back to the frame of the given ones, which all sections share: refined
     cameras drift together. The turn is the mean of those of all cameras (chordal; Hartley et al. 2013), which two
     places or a straight line of them do not determine. Colours keep their directions: it is a fraction of a degree."""
     turns = [
@@ -210,10 +212,10 @@ def _anchored(
     spread = float(np.linalg.norm(source - source.mean(axis=0)))
     scale = float(np.linalg.norm(target - target.mean(axis=0))) / spread if spread else 1.0
     moved = Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
-    return transform_gaussians(gaussians, moved), [_moved(camera, moved) for camera in posed]
+    return transform_gaussians(gaussians, moved), [_transform_camera(camera, moved) for camera in posed]
 
 
-def _moved(camera: Camera, moved: Similarity) -> Camera:
+def _transform_camera(camera: Camera, moved: Similarity) -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = camera.world_to_camera[:3, :3] @ moved.rotation.T
     pose[:3, 3] = -pose[:3, :3] @ moved.apply(camera.center)
@@ -228,15 +230,16 @@ def _read(folder: Path) -> dict[str, Any] | None:
     return stored
 
 
-def _named(progress: Progress, name: str) -> Progress:
-    """The same progress with messages that begin with a name."""
+def _prefix_messages(progress: Progress, name: str) -> Progress:
+    """Return the same progress with messages that begin with a name."""
     return lambda share, text: progress(share, name + text)
 
 
-def _together(sections: Sequence[Mapping[str, Any]], gaussians: int) -> dict[str, Any]:
-    """The results of a walk: sums of its sections, means over all held-out photos, and the sections themselves."""
+def _combine_results(sections: Sequence[Mapping[str, Any]], gaussians: int) -> dict[str, Any]:
+    """Combine the results of a walk: sums of its sections, means over all held-out photos, and the sections
+    themselves."""
     held_out = [view for section in sections for view in section["held_out"]]
-    mean = {name: _rounded(np.mean([view[name] for view in held_out]) if held_out else None) for name in QUALITIES}
+    mean = {name: _round(np.mean([view[name] for view in held_out]) if held_out else None) for name in QUALITIES}
     kept = ("first", "steps", "gaussians", "device", *QUALITIES)
     return {
         "steps": sum(section["steps"] for section in sections),
@@ -269,9 +272,9 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
         "steps": training.steps,
         "gaussians": len(training.gaussians),
         "device": training.device,
-        **{name: _rounded(training.mean_score(name)) for name in QUALITIES},
+        **{name: _round(training.mean_score(name)) for name in QUALITIES},
         "held_out": [
-            {"view": view.name, **{name: _rounded(getattr(view, name)) for name in QUALITIES}}
+            {"view": view.name, **{name: _round(getattr(view, name)) for name in QUALITIES}}
             for view in training.held_out
         ],
     }
@@ -280,5 +283,5 @@ def _train_into(folder: Path, scene: Scene, run: Run, progress: Progress) -> dic
     return results
 
 
-def _rounded(value: float | None) -> float | None:
+def _round(value: float | None) -> float | None:
     return None if value is None else round(float(value), 4)

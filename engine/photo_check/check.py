@@ -13,7 +13,7 @@ from ..errors import SceneError
 from ..language.encoders.encoder import sees_whole
 from ..language.features.embedder import Embedder
 from ..memory import available_bytes
-from ..photo_size import fruit_width, some_of
+from ..photo_size import choose_some, fruit_width
 from ..progress import Progress, part, silent
 from ..scene.pycolmap_import import colmap_library
 from ..scene.source import Source
@@ -92,7 +92,7 @@ def fruit_share(photos: Sequence[Path], config: Config, progress: Progress) -> f
     if not photos or not sees_whole(encoder):
         return None
     progress(0.0, "Measuring the width of fruit in a few photos")
-    pixels = [read_reduced(photos[index], lambda side: side_read(side, config)) for index in some_of(len(photos))]
+    pixels = [read_reduced(photos[index], lambda side: side_read(side, config)) for index in choose_some(len(photos))]
     return fruit_width(pixels, [max(each.shape) for each in pixels], encoder)
 
 

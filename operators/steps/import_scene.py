@@ -132,7 +132,7 @@ def read_posed(path: Path, out: Path, config: Config, progress: Progress) -> Pos
 
     source, folder = Source(path=path), ResultFolder(out)
     if source.is_alone():
-        with folder.locked():
+        with folder.lock():
             source = source.find_poses(folder.cache, config.photos, progress=part(progress, 0.0, 0.9))
         progress = part(progress, 0.9, 1.0)
     return PosedScene(source.read(config.scene, progress), [*source.notices, *source.open().notices])

@@ -22,7 +22,7 @@ from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.evaluation.truth import read_truth
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.features.photo_features import load_photo_features, save_photo_features
-from fruitlangs.engine.pipeline import Result, clumped, count_scene, reconstruct_scene
+from fruitlangs.engine.pipeline import Result, count_scene, note_clumped, reconstruct_scene
 from fruitlangs.engine.reconstruction import PHOTOS
 from fruitlangs.engine.storage.files import file_hash
 from fruitlangs.engine.training import QUALITIES
@@ -324,9 +324,9 @@ def test_a_taught_word_whose_fruit_touch_is_said_to_be_no_word_for_bunches(count
     counted = counted_balls.fruit_count
     touching: list[Fruit] = [replace(fruit, kind="compound-part") for fruit in counted.fruits]
     bunched = replace(counted, fruits=touching)
-    [sentence] = clumped(bunched, {"grape": "1"})
+    [sentence] = note_clumped(bunched, {"grape": "1"})
     assert sentence.startswith(f"{len(touching)} of {len(touching)} fruit touch others")
-    assert clumped(bunched, {}) == clumped(counted, {"grape": "1"}) == []
+    assert note_clumped(bunched, {}) == note_clumped(counted, {"grape": "1"}) == []
 
 
 @pytest.fixture(scope="module")

@@ -171,7 +171,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def names_of_a_set(folder: Path) -> list[str]:
-    return ["cache/source.txt", *ResultFolder(folder).listed(), "fruits.json"]
+    return ["cache/source.txt", *ResultFolder(folder).list_files(), "fruits.json"]
 
 
 def count_in_metres(folder: Path) -> Result:
@@ -280,9 +280,9 @@ def test_a_file_system_without_locks_still_keeps_a_second_run_out(
     monkeypatch.setattr(lock, "_LOCKS", ((NoLocks, "lock"), *lock._LOCKS[1:]))
     monkeypatch.setattr(lock, "PATIENCE", 0.2)
     folder = ResultFolder(tmp_path)
-    with folder.locked(), pytest.raises(OutputError, match="in use by process"), folder.locked():
+    with folder.lock(), pytest.raises(OutputError, match="in use by process"), folder.lock():
         pass
-    with folder.locked():
+    with folder.lock():
         pass
 
 
@@ -290,7 +290,7 @@ def test_a_run_may_not_write_into_a_folder_it_is_writing_to_in_another_thread(
     counted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lock, "PATIENCE", 0.2)
-    with ResultFolder(tmp_path).locked(), ThreadPoolExecutor() as pool:
+    with ResultFolder(tmp_path).lock(), ThreadPoolExecutor() as pool:
         second = pool.submit(count_scene, counted, ["apple"], tmp_path)
         with pytest.raises(OutputError, match=f"in use by process {os.getpid()} on"):
             second.result()

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ...config import EmbedConfig, decisive
+from ...config import EmbedConfig, select_decisive
 from ...errors import ConfigError
 from ...progress import Progress, part, silent
 from ...scene.camera import Scene
@@ -60,7 +60,7 @@ class Embedder:
         checkpoint."""
         if self.segmenter is None:
             return self.encoder.identity
-        return f"{self.encoder.identity} {self.segmenter.identity} {decisive(self.config)}"
+        return f"{self.encoder.identity} {self.segmenter.identity} {select_decisive(self.config)}"
 
     def lift(
         self,

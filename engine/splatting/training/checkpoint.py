@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ...config import TrainConfig, decisive
+from ...config import TrainConfig, select_decisive
 from ...errors import TrainingError
 from ...scene.camera import Scene
 from ...storage.files import read_tensors, write_tensors
@@ -56,7 +56,7 @@ def training_key(scene: Scene, config: TrainConfig, extra: str = "") -> str:
 
     extra: a text that identifies the target of further channels; empty without any.
     """
-    digest = hashlib.sha256((json.dumps(decisive(config), sort_keys=True) + extra).encode())
+    digest = hashlib.sha256((json.dumps(select_decisive(config), sort_keys=True) + extra).encode())
     for camera, photo in zip(scene.cameras, scene.images, strict=True):
         digest.update(f"{photo.name} {camera.width} {camera.height}".encode())
         digest.update(np.ascontiguousarray(camera.K, np.float64).tobytes())

@@ -15,16 +15,16 @@ from fruitlangs.engine.config import Config, EmbedConfig, SceneConfig
 from fruitlangs.engine.language.encoders.seen import BEST_WIDTH
 from fruitlangs.engine.language.features.embedder import Embedder
 from fruitlangs.engine.photo_size import (
+    find_scaled_down,
     fruit_angle,
     fruit_width,
     growth,
     needed_bytes,
-    scaled_down,
     scales_for,
     side_to_read,
     width_notices,
 )
-from fruitlangs.engine.reconstruction import reading_larger
+from fruitlangs.engine.reconstruction import read_larger
 from fruitlangs.engine.scene.camera import Camera, Photo, Scene
 from fruitlangs.engine.scene.photos.lens import Lens
 from fruitlangs.engine.scene.photos.photo import make_scene, read_posed_photos
@@ -54,7 +54,7 @@ def said(folder: Path, width: float | None, **read: float) -> list[str]:
 def test_photos_grow_by_how_much_wider_their_files_are(tmp_path: Path, read: dict, factor: float) -> None:
     photos = scene_of(tmp_path, SceneConfig(**read)).images
     assert growth(photos).tolist() == [factor]
-    assert scaled_down(photos) == (photos if factor > 1.0 else [])
+    assert find_scaled_down(photos) == (photos if factor > 1.0 else [])
 
 
 def mixed_scene(folder: Path, *widths: int, max_side: int = 200) -> Scene:
@@ -72,7 +72,7 @@ def test_each_photo_grows_to_its_own_file_at_most(tmp_path: Path) -> None:
     photos = mixed_scene(tmp_path, 800, 240, 160).images
     assert growth(photos).tolist() == [4.0, 1.2, 1.0]
     assert growth(photos, 400).tolist() == [2.0, 1.2, 1.0]
-    assert [photo.name for photo in scaled_down(photos)] == ["0.png", "1.png"]
+    assert [photo.name for photo in find_scaled_down(photos)] == ["0.png", "1.png"]
 
 
 def test_one_small_photo_does_not_keep_the_large_ones_small(tmp_path: Path) -> None:
@@ -191,13 +191,13 @@ def test_photos_with_narrow_fruit_are_read_larger_the_same_way_for_every_prompt(
 ) -> None:
     source, config = Source(path=SAMPLE), Config(scene=SceneConfig(max_side=240))
     first = Run(tmp_path, embedder, config, given=())
-    larger = reading_larger(source, first)
+    larger = read_larger(source, first)
     assert 320 <= larger.config.scene.max_side <= 480
     (notice,) = first.log.notices
     assert re.match("fruit would be about (9|10) pixels wide, so the photos were read larger than usual", notice)
     (record,) = tmp_path.glob("size-*.json")
     record.write_text('{"width": 8.0, "max_side": 340}')
-    again = reading_larger(source, Run(tmp_path, embedder, config, given=()))
+    again = read_larger(source, Run(tmp_path, embedder, config, given=()))
     assert again.config.scene.max_side == 340
 
 
@@ -214,7 +214,7 @@ def test_the_width_of_fruit_is_measured_in_the_photos_that_were_scaled_down(
     monkeypatch.setattr("fruitlangs.engine.reconstruction.fruit_angle", measured)
     source = SimpleNamespace(read=lambda _: scene, hash=lambda: "")
     run = Run(tmp_path, embedder, Config(scene=SceneConfig(max_side=200)), given=())
-    assert reading_larger(source, run).config.scene.max_side == 400  # type: ignore[arg-type]
+    assert read_larger(source, run).config.scene.max_side == 400  # type: ignore[arg-type]
     assert asked == ["1.png", "3.png"]
     (notice,) = run.log.notices
     assert notice.startswith("fruit would be about 7 pixels wide, so 2 of 4 photos were read larger than usual")
@@ -223,5 +223,5 @@ def test_the_width_of_fruit_is_measured_in_the_photos_that_were_scaled_down(
 @pytest.mark.parametrize("given", [None, {"scene.max_side"}])
 def test_a_size_that_the_user_gave_is_kept(tmp_path: Path, embedder: Embedder, given: set[str] | None) -> None:
     run = Run(tmp_path, embedder, Config(scene=SceneConfig(max_side=240)), given=given)
-    assert reading_larger(Source(path=SAMPLE), run) is run
+    assert read_larger(Source(path=SAMPLE), run) is run
     assert not list(tmp_path.iterdir())

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fruitlangs.engine.scene.alignment import Similarity
 from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.splatting.gaussians import Gaussians, transform_gaussians
-from fruitlangs.engine.training import _anchored, _moved
+from fruitlangs.engine.training import _anchor_section, _transform_camera
 
 LENS = np.array([[100.0, 0.0, 50.0], [0.0, 100.0, 40.0], [0.0, 0.0, 1.0]])
 DRIFT = Similarity(1.02, Rotation.from_rotvec([0.01, -0.02, 0.03]).as_matrix(), np.array([0.05, -0.02, 0.01]))
@@ -39,7 +39,7 @@ def straight_walk() -> list[Camera]:
 def test_gaussians_and_cameras_that_drifted_together_come_back() -> None:
     given, gaussians = straight_walk(), some_gaussians()
     drifted = transform_gaussians(gaussians, DRIFT)
-    back, cameras = _anchored(drifted, [_moved(camera, DRIFT) for camera in given], given)
+    back, cameras = _anchor_section(drifted, [_transform_camera(camera, DRIFT) for camera in given], given)
     np.testing.assert_allclose(back.means, gaussians.means, atol=1e-5)
     np.testing.assert_allclose(back.covariances, gaussians.covariances, atol=1e-6)
     for one, other in zip(cameras, given, strict=True):
@@ -58,6 +58,6 @@ def test_a_camera_that_was_refined_against_the_others_keeps_that() -> None:
     pose = given[3].world_to_camera.copy()
     pose[:3, :3] = Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix() @ pose[:3, :3]
     refined = [replace(camera, world_to_camera=pose) if k == 3 else camera for k, camera in enumerate(given)]
-    _, cameras = _anchored(gaussians, refined, given)
+    _, cameras = _anchor_section(gaussians, refined, given)
     turned = cameras[3].world_to_camera[:3, :3] @ given[3].world_to_camera[:3, :3].T
     assert np.linalg.norm(Rotation.from_matrix(turned).as_rotvec()) == pytest.approx(0.01, rel=0.2)
