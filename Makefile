@@ -33,7 +33,7 @@ types: $(READY)
 # Otherwise each process of the tests compiles them.
 kernels: $(READY)
 	PYTHONPATH=scripts $(BIN)/python -c "import _checkout; from fruitlangs.engine import compile_ahead; \
-		compile_ahead.all_compiled() or compile_ahead.compile_all()" > /dev/null
+		compile_ahead.is_all_compiled() or compile_ahead.compile_all()" > /dev/null
 
 pytest: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(TESTS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..engine.storage.files import replacing
+from ..engine.storage.files import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,5 +17,5 @@ def save_plot(figure: Figure, path: Path, *, dpi: int = 110) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         figure.savefig(temporary, dpi=dpi, format="png", metadata={"Software": None})

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from .child_process import ChildError, end_with_parent, run_child, tell
-from .compiled.jit import CACHE_FOLDER, all_compiled, mark_compiled
+from .compiled.jit import CACHE_FOLDER, is_all_compiled, mark_compiled
 from .config import CountConfig, TrainConfig
 from .counting.count import count_fruit
 from .errors import Cancelled
@@ -88,7 +88,7 @@ def compile_alongside(progress: Progress, fraction: float) -> Iterator[None]:
     Raises:
         Cancelled: `progress` asked for it.
     """
-    if all_compiled() or CACHE_FOLDER is None:
+    if is_all_compiled() or CACHE_FOLDER is None:
         yield
         return
     compilation = Compilation()
@@ -105,7 +105,7 @@ def compile_once() -> None:
 
     Does nothing on a computer that has counted before, or that cannot keep machine code.
     """
-    if all_compiled() or CACHE_FOLDER is None:
+    if is_all_compiled() or CACHE_FOLDER is None:
         return
     with TemporaryDirectory() as folder, suppress(ChildError, OSError):  # then each worker compiles
         run_child("compile_ahead", [], Path(folder) / "log.txt")

@@ -14,7 +14,7 @@ from typing import Any
 from .errors import FruitLangsError, OutputError
 from .report.results import FRUITS_JSON, parse_results
 from .storage.files import file_hash, require_writable, write_text
-from .storage.lock import only_writer
+from .storage.lock import hold_lock
 
 CACHE, SOURCE = "cache", "cache/source.txt"
 """The folder of a result that stays on this computer, and the file in it that contains the path of the source: absolute
@@ -50,7 +50,7 @@ class ResultFolder:
             OutputError: another run writes to it, or it cannot be written.
         """
         require_writable(self.cache)
-        with only_writer(self.cache, self.path):
+        with hold_lock(self.cache, self.path):
             self._undo()
             # Killed runs left them: only the owner of the lock writes here.
             for left in (*self.cache.glob(f"{_STAGING}*"), self.cache / SPOOL):
@@ -66,7 +66,7 @@ class ResultFolder:
             FormatError: fruits.json is not of a schema this version reads, or lacks a field that a reader relies on.
         """
         if (self.cache / _SWAP).is_file():  # of a run that was killed, or that is about to end
-            with only_writer(self.cache, self.path):
+            with hold_lock(self.cache, self.path):
                 self._undo()
         path = self.path / FRUITS_JSON
         if not path.is_file():

@@ -84,7 +84,7 @@ def main() -> None:
     from fruitlangs.engine.block.manifest import read_manifest
     from fruitlangs.engine.block.publish import publish_block
     from fruitlangs.engine.block.totals import require_sample
-    from fruitlangs.engine.compiled.jit import all_compiled
+    from fruitlangs.engine.compiled.jit import is_all_compiled
     from fruitlangs.engine.memory import available_bytes
 
     trees = read_manifest(arguments.manifest, prompt=arguments.prompt, settings=arguments.settings)
@@ -107,7 +107,7 @@ def main() -> None:
     ledger.reopen()
     say_before(ledger.states())
 
-    if arguments.executor == "local" and not all_compiled():
+    if arguments.executor == "local" and not is_all_compiled():
         from fruitlangs.engine.compile_ahead import compile_once
 
         say("compiling for this computer (first run only, about a minute)")

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ...engine.evaluation.judgement import Judgement
 from ...engine.evaluation.truth import Truth
 from ...engine.scene.camera import Camera, Scene
-from ...engine.storage.files import replacing
+from ...engine.storage.files import replace_file
 from .stages import Counted
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +83,7 @@ def draw_mistakes(
             else:
                 sheet.paste(crop, (left, top + TITLE))
             canvas.text((left + 3, top + 1), title, fill=SUBJECT, font=font)
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         sheet.save(temporary)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..errors import OutputError
-from ..storage.files import replacing
+from ..storage.files import replace_file
 
 GEOPACKAGE, LAYER = "orchard.gpkg", "trees"
 
@@ -32,7 +32,7 @@ def write_geopackage(places: Path) -> list[Path]:
         about, _, points, columns = raw.read(places)
         if not len(points):
             return []
-        with replacing(path) as temporary:
+        with replace_file(path) as temporary:
             raw.write(
                 temporary, points, columns, about["fields"], driver="GPKG", layer=LAYER,
                 geometry_type="Point", crs="EPSG:4326",

@@ -26,7 +26,7 @@ from numba import prange
 
 from ..user_folders import KERNELS, kernels_folder
 
-__all__ = ["CACHE_FOLDER", "all_compiled", "kernel", "mark_compiled", "njit", "prange", "threads"]
+__all__ = ["CACHE_FOLDER", "is_all_compiled", "kernel", "mark_compiled", "njit", "prange", "threads"]
 
 _ENGINE = Path(__file__).resolve().parents[1]
 _config: Any = numba.config  # its attributes appear at run time
@@ -60,7 +60,7 @@ CACHE_FOLDER: Path | None = _cache_folder()
 """Folder of machine code between runs; None if no folder can be written."""
 
 
-def all_compiled() -> bool:
+def is_all_compiled() -> bool:
     """Whether the cache holds the machine code of all kernels, so that nothing has to be compiled."""
     return CACHE_FOLDER is not None and (CACHE_FOLDER / _marker()).is_file()
 
@@ -77,7 +77,7 @@ def _marker() -> str:
 
 
 @contextmanager
-def _cached_in_our_folder() -> Iterator[None]:
+def _use_cache_folder() -> Iterator[None]:
     """Use our cache folder while a function is declared; other users of Numba in the process keep theirs."""
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(CACHE_FOLDER) if CACHE_FOLDER is not None else before
@@ -115,7 +115,7 @@ def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         # Whether LLVM inlines a callee must not depend on whether it comes from the cache: rounding would differ.
         "forceinline": not options.get("parallel", False),
     }
-    with _cached_in_our_folder():
+    with _use_cache_folder():
         try:
             return numba.njit(**(defaults | options))(function)
         except RuntimeError:  # Numba finds no file of the function: it came from a zip or a console

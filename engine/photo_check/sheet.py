@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import OutputError
-from ..storage.files import replacing, require_writable
+from ..storage.files import replace_file, require_writable
 from .finding import LABELS, CheckedPhoto, PhotoCheck, Severity, photos_text
 
 COLUMNS = 8
@@ -29,7 +29,7 @@ def write_sheet(path: Path, check: PhotoCheck) -> None:
     """
     require_writable(path.parent)
     sheet = contact_sheet(check)
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         sheet.save(temporary, "PNG" if path.suffix.lower() == ".png" else "JPEG", quality=_QUALITY)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 
 from ..counting.fruit import Fruit, FruitCount
-from ..storage.files import replacing, write_text
+from ..storage.files import replace_file, write_text
 from .words import file_unit, object_name
 
 FloatArray = NDArray[np.float64]
@@ -98,7 +98,7 @@ def write_glb(
         name = object_name(fruit)
         pose = rotation @ trimesh.transformations.translation_matrix(scale * fruit.center)
         scene.add_geometry(mesh, node_name=name, geom_name=name, transform=pose)
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         temporary.write_bytes(scene.export(file_type="glb") if fruit_count.fruits else _empty_glb())
 
 
@@ -171,7 +171,7 @@ def write_fruit_meshes_ply(
     faces["vertex_indices"] = (meshes.faces + firsts).reshape(-1, 3)
     faces["fruit_id"] = np.repeat(ids, len(meshes.faces))
     elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         PlyData(elements, byte_order="<", comments=_make_header(fruit_count, unit, up)).write(str(temporary))
 
 

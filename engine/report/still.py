@@ -17,7 +17,7 @@ from ..progress import Progress, silent
 from ..scene.camera import Camera
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
-from ..storage.files import replacing
+from ..storage.files import replace_file
 from .ellipses import Ellipse, ellipses
 from .labels import Label, place_labels, round_length
 from .meshes import id_color
@@ -76,7 +76,7 @@ def save_still(path: Path, still: Image.Image) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         temporary.write_bytes(jpeg(still))
 
 

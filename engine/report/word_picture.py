@@ -11,7 +11,7 @@ from torch import Tensor
 from ..scene.camera import Scene
 from ..splatting.gaussians import Gaussians
 from ..splatting.rendering.rasterize import render
-from ..storage.files import replacing
+from ..storage.files import replace_file
 from .pictures import join_side_by_side, ramp, strip_views
 
 MOST_VIEWS = 4
@@ -43,5 +43,5 @@ def save_word_picture(
     for strip in strips:
         page.paste(strip, (0, top))
         top += strip.height
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         page.save(temporary, format="JPEG", quality=90)

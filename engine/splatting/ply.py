@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from ..errors import FormatError
-from ..storage.files import replacing
+from ..storage.files import replace_file
 from .gaussians import Gaussians
 
 _GEOMETRY = ("x", "y", "z", "opacity", *(f"scale_{k}" for k in range(3)), *(f"rot_{k}" for k in range(4)))
@@ -45,7 +45,7 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
     names = _properties(rest.shape[1])
     vertices = np.ascontiguousarray(table, "<f4").view([(name, "<f4") for name in names]).reshape(n)
     comments = [ANTIALIASED] if gaussians.antialiased else []
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(temporary))
 
 

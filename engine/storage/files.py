@@ -27,7 +27,7 @@ def names_device(name: str) -> bool:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path` (same suffix) and move it into place if the block ends without an error.
 
     Raises:
@@ -49,7 +49,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write UTF-8 text atomically."""
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -62,7 +62,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str,
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         # save_file makes a file that only its owner may read; a result has the permissions of its other files.
         temporary.touch()
         mode = temporary.stat().st_mode
@@ -73,8 +73,8 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], about: Mapping[str,
         temporary.chmod(mode)
 
 
-def halved(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors of a network as weights are stored: numbers with a point in half precision."""
+def halve_precision(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the tensors of a network as weights are stored: numbers with a point in half precision."""
     return {
         name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous() for name, tensor in tensors.items()
     }

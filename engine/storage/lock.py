@@ -22,7 +22,7 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 
 
 @contextmanager
-def only_writer(folder: Path, shown: Path) -> Iterator[None]:
+def hold_lock(folder: Path, shown: Path) -> Iterator[None]:
     """Hold the lock of `folder`, which exists, until the block ends; errors call it `shown`.
 
     The operating system releases the lock of a process that ended in any way. On a file system without locks, a file
@@ -32,7 +32,7 @@ def only_writer(folder: Path, shown: Path) -> Iterator[None]:
         OutputError: another process holds it, which the message names, or the folder cannot be written.
     """
     try:
-        lock = _acquired(folder)
+        lock = _acquire(folder)
         started = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
         (folder / _OWNER).write_text(f"process {os.getpid()} on {socket.gethostname()} since {started}", "utf-8")
     except Timeout as error:
@@ -47,7 +47,7 @@ def only_writer(folder: Path, shown: Path) -> Iterator[None]:
         lock.release()
 
 
-def _acquired(folder: Path) -> BaseFileLock:
+def _acquire(folder: Path) -> BaseFileLock:
     for kind, name in _LOCKS:
         lock = kind(folder / name, timeout=PATIENCE)
         try:

@@ -14,7 +14,7 @@ import bpy
 from numpy.typing import NDArray
 
 from ...engine.errors import OutputError
-from ...engine.storage.files import replacing
+from ...engine.storage.files import replace_file
 from ..blender_data import OWNER, new_object, owned_collection, owned_objects
 from ..settings.panel_state import PanelState, store_panel
 from ..settings.settings import PHOTO_FILE, relative_path
@@ -127,7 +127,7 @@ def save_blend(path: Path) -> None:
     Raises:
         OutputError: the folder or file cannot be written.
     """
-    with replacing(path) as part:
+    with replace_file(path) as part:
         try:
             with _quiet():
                 bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)

@@ -12,7 +12,7 @@ import bpy
 
 from ...engine.errors import SceneError
 from ...engine.progress import Progress, part
-from ...engine.storage.files import replacing
+from ...engine.storage.files import replace_file
 from ..blender_data import owned_object
 from ..data.fruit_objects import metres_per_unit
 from ..data.read_cameras import active_camera, read_scene
@@ -136,7 +136,7 @@ def save(path: Path, still: Image) -> None:
     if path.suffix.lower() != ".png":
         save_still(path, still)
         return
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         still.save(temporary, "PNG", optimize=True)
 
 

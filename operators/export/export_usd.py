@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.errors import OutputError
-from ...engine.storage.files import replacing
+from ...engine.storage.files import replace_file
 from ..data.fruit_objects import standing
 from .export_file import ExportFile, Write, chosen_file
 
@@ -70,7 +70,7 @@ def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()
     options = {name: value for name, value in OPTIONS.items() if name in known}
     with ExitStack() as stack:
-        part = stack.enter_context(replacing(path))
+        part = stack.enter_context(replace_file(path))
         stack.enter_context(context.temp_override(scene=bpy_scene, view_layer=bpy_scene.view_layers[0]))
         stack.enter_context(_shown(items))
         stack.enter_context(_plainly_coloured(items))

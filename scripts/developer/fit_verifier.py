@@ -28,7 +28,7 @@ from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
-from fruitlangs.engine.storage.files import halved, write_tensors
+from fruitlangs.engine.storage.files import halve_precision, write_tensors
 from fruitlangs.fitting.counting.verifying import (
     Samples,
     Tree,
@@ -84,7 +84,7 @@ def main(options: Options) -> None:
             say(table(checked, network))
         used = {"trees": [tree.name for tree in learnt], "calibrated on": [tree.name for tree in checked]}
         header = {"format": FORMAT, "encoder": EmbeddedEncoder.open().fruit_identity, **used}
-        write_tensors(options.out, halved(network.state_dict()), header)
+        write_tensors(options.out, halve_precision(network.state_dict()), header)
 
 
 def table(trees: list[Tree], network: Network) -> str:

@@ -7,7 +7,7 @@ import torch
 
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.storage import keys
-from fruitlangs.engine.storage.files import files_hash, replacing, require_writable, write_tensors, write_text
+from fruitlangs.engine.storage.files import files_hash, replace_file, require_writable, write_tensors, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path) -> None:
@@ -15,7 +15,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path)
     write_text(target, "old")
 
     def fail() -> None:
-        with replacing(target) as temporary:
+        with replace_file(target) as temporary:
             temporary.write_text("half of the ne")
             raise RuntimeError("killed")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...storage.files import replacing
+from ...storage.files import replace_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,5 +38,5 @@ def write_cloud(path: Path, cloud: ColoredCloud) -> None:
         vertices[axis] = cloud.points[:, column]
     for column, channel in enumerate(("red", "green", "blue")):
         vertices[channel] = cloud.colors[:, column]
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(str(temporary))

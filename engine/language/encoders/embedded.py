@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...storage.files import halved, read_tensors, write_tensors
+from ...storage.files import halve_precision, read_tensors, write_tensors
 from ..colours import cielab, colour_words
 from ..taught.library import Library
 from ..taught.word import TaughtWord
@@ -323,7 +323,7 @@ def save_weights(
         "calibration": asdict(calibration),
         **notes,
     }
-    write_tensors(path, halved(network.state_dict()), header)
+    write_tensors(path, halve_precision(network.state_dict()), header)
 
 
 def _parts(phrase: Phrase) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...errors import EncoderError
-from ...storage.files import halved, read_tensors, write_tensors
+from ...storage.files import halve_precision, read_tensors, write_tensors
 from .network import WIDTHS, Unit, fuse_units
 
 STORED = Path(__file__).resolve().parent / "weights" / "offsets.safetensors"
@@ -100,4 +100,4 @@ def read_offsets(encoder: str, path: Path) -> OffsetNetwork:
 
 def save_offsets(path: Path, network: OffsetNetwork, encoder: str, **notes: object) -> None:
     """Write an unfused network in half precision; encoder: identity of the encoder that it was trained for."""
-    write_tensors(path, halved(network.state_dict()), {"format": FORMAT, "encoder": encoder, **notes})
+    write_tensors(path, halve_precision(network.state_dict()), {"format": FORMAT, "encoder": encoder, **notes})

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import OutputError
-from ...storage.files import replacing
+from ...storage.files import replace_file
 from ..camera import Photo, Scene
 
 HEADER = 128
@@ -65,7 +65,7 @@ class SpooledPhoto:
 def spool(array: NDArray[Any], path: Path) -> NDArray[Any]:
     """The array, mapped from the file that it is written to; itself if it cannot be written."""
     with suppress(OutputError):
-        with replacing(path) as temporary:
+        with replace_file(path) as temporary:
             np.save(temporary, array)
         return _map_file(path)
     return array

@@ -16,7 +16,7 @@ from ...child_process import ChildError, run_child, usable_cores
 from ...config import PhotosConfig
 from ...errors import OutputError, SceneError
 from ...progress import Progress, part, silent
-from ...storage.files import replacing
+from ...storage.files import replace_file
 from ..formats.colmap_records import check_records
 from ..photos.focal import exif_focal
 from ..photos.photo import DECODE_ERRORS, read_header
@@ -129,7 +129,7 @@ def _copy(file: Path, copy: Path, max_side: int) -> Copy:
                 pixels = convert_to_rgb(image)
         except DECODE_ERRORS as error:
             raise SceneError(f"{file} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
-        with replacing(copy) as temporary:
+        with replace_file(copy) as temporary:
             pixels.resize(size, Image.Resampling.LANCZOS).save(temporary, compress_level=1)
     return Copy(
         name=file.name,

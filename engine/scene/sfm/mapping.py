@@ -11,7 +11,7 @@ from typing import Any
 from ...child_process import end_with_parent, give_up, tell
 from ...errors import OutputError
 from ...progress import part
-from ...storage.lock import only_writer
+from ...storage.lock import hold_lock
 from ..pycolmap_import import colmap_library
 from .features import add_photos, find_features, read_features
 from .job import FOUND, Copy, Job
@@ -28,7 +28,7 @@ def main(arguments: Sequence[str]) -> None:
     try:
         colmap_library()
         # The child of a killed run may still write to the database.
-        with only_writer(Path(job.folder), Path(job.folder)):
+        with hold_lock(Path(job.folder), Path(job.folder)):
             find_model(job)
     except ImportError as error:
         give_up(f"pycolmap cannot be imported ({error}); install it: pip install pycolmap")

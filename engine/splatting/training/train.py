@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...compiled.jit import all_compiled
+from ...compiled.jit import is_all_compiled
 from ...config import TrainConfig
 from ...errors import GpuError, TrainingError
 from ...progress import Progress, silent
@@ -196,7 +196,7 @@ def _train(
     shelf, views = photos.shelf, photos.trained
     channels = 0 if extra is None else extra.count
     state = _resume(saved, progress) or _start(shelf, views, config, channels, progress)
-    if not all_compiled():
+    if not is_all_compiled():
         progress(0.0, "Compiling for this computer, about 15 s (first run only)")
     schedule = Schedule(config, scene)
     stepper, device = _make_stepper(schedule, extra, adapter, progress)

@@ -18,7 +18,7 @@ from fruitlangs.engine.counting.photos.verifier import (
 )
 from fruitlangs.engine.errors import EncoderError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
-from fruitlangs.engine.storage.files import halved, read_tensors, write_tensors
+from fruitlangs.engine.storage.files import halve_precision, read_tensors, write_tensors
 
 BALLS = balls_of(np.array([0.06, 0.09, 0.08, 0.07, 0.08, 0.09]))
 
@@ -55,7 +55,7 @@ def test_the_networks_of_the_package_belong_together() -> None:
 
 def test_a_verifier_of_other_networks_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "verifier.safetensors"
-    write_tensors(path, halved(Network().state_dict()), {"format": FORMAT, "encoder": "one+offsets"})
+    write_tensors(path, halve_precision(Network().state_dict()), {"format": FORMAT, "encoder": "one+offsets"})
     require_trained_for("one+offsets", path)
     with pytest.raises(EncoderError, match=r"trained for one\+offsets, not for one\+others.*fit_verifier\.py"):
         require_trained_for("one+others", path)

@@ -38,7 +38,7 @@ from fruitlangs.engine.scene.sfm.mapping import part_sizes
 from fruitlangs.engine.scene.sfm.placing import drop_lost
 from fruitlangs.engine.scene.source import Source
 from fruitlangs.engine.storage.files import file_hash
-from fruitlangs.engine.storage.lock import only_writer
+from fruitlangs.engine.storage.lock import hold_lock
 
 VIEWS = 6
 
@@ -230,7 +230,7 @@ def test_a_crash_names_its_log_and_quotes_the_last_line(monkeypatch: pytest.Monk
 def test_a_database_that_another_process_writes_to_is_left_alone(walk: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     work.mkdir()
-    with only_writer(work, work), pytest.raises(SceneError, match=f"in use by process {os.getpid()} on"):
+    with hold_lock(work, work), pytest.raises(SceneError, match=f"in use by process {os.getpid()} on"):
         find_poses(walk / "images", tmp_path)
     assert not (work / "database.db").exists()
 
