@@ -240,8 +240,8 @@ def expected(tree: TreeEntry) -> tuple[str, float]:
         FruitLangsError: the tree cannot be counted, because of its words or its source.
     """
     from fruitlangs.engine.language.prompts.relevancy import check_prompts
-    from fruitlangs.engine.photo_check.cost import expected_costs
-    from fruitlangs.engine.photo_check.photo_files import photo_files
+    from fruitlangs.engine.photo_check.cost import estimate_costs
+    from fruitlangs.engine.photo_check.photo_files import list_photo_files
     from fruitlangs.engine.result_folder import ResultFolder
     from fruitlangs.engine.scene.photos.photo import read_header
     from fruitlangs.engine.scene.source import Source
@@ -250,12 +250,12 @@ def expected(tree: TreeEntry) -> tuple[str, float]:
     source = Source(path=tree.source)
     gaussians = tree.source.suffix.lower() == ".ply" and tree.source.is_file()
     other = gaussians or ResultFolder(tree.source).holds_result() or source.video() is not None
-    files = None if other else photo_files(source)
+    files = None if other else list_photo_files(source)
     if files is None or not files.photos:
         return "it has no photo from which its time can be estimated", 0.0
     headers = [read_header(photo) for photo in files.photos]
     sizes = [(header.width, header.height) for header in headers]
-    costs = expected_costs(sizes, tree.config, posed=files.posed)
+    costs = estimate_costs(sizes, tree.config, posed=files.posed)
     seconds, most = sum(cost.seconds for cost in costs), max(cost.bytes for cost in costs)
     return f"{len(files.photos)} photos, about {duration(seconds, MINUTE)} and {most / 2**30:.1f} GB", seconds
 

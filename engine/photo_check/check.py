@@ -18,11 +18,11 @@ from ..progress import Progress, part, silent
 from ..scene.pycolmap_import import colmap_library
 from ..scene.source import Source
 from . import findings
-from .cost import expected_costs, side_read
+from .cost import estimate_costs, side_read
 from .examine import Examined, examine, read_reduced
 from .finding import CheckedPhoto, PhotoCheck
 from .links import Links, find_links
-from .photo_files import PhotoFiles, is_video, photo_files
+from .photo_files import PhotoFiles, is_video, list_photo_files
 from .sharpness import relative_sharpness
 
 MOST_THREADS = 4
@@ -57,7 +57,7 @@ def check_photos(
 
 def _check(source: Source, config: Config, free: int | None, progress: Progress) -> PhotoCheck:
     """The check of photos in a folder."""
-    files = photo_files(source)
+    files = list_photo_files(source)
     examined = _examine_all(files.photos, part(progress, 0.0, 0.6))
     photos = {path: each for path, each in examined.items() if isinstance(each, Examined)}
     unreadable = {files.name(path): str(each) for path, each in examined.items() if isinstance(each, Exception)}
@@ -65,21 +65,21 @@ def _check(source: Source, config: Config, free: int | None, progress: Progress)
     links = find_links([photo.features for photo in readable], progress=part(progress, 0.6, 0.9))
     sizes = [(photo.width, photo.height) for photo in readable]
     share = fruit_share([photo.path for photo in readable], config, part(progress, 0.9, 1.0))
-    costs = expected_costs(sizes, config, posed=files.posed, fruit=share)
+    costs = estimate_costs(sizes, config, posed=files.posed, fruit=share)
     found = [
-        *findings.about_files(files, unreadable),
-        *findings.about_number(len(readable)),
-        *findings.about_overlap(names, readable, links),
-        *findings.about_sharpness(names, readable),
-        *findings.about_light(names, readable, links),
-        *findings.about_cameras(names, readable),
-        *findings.about_fruit(share, sizes, config),
-        *findings.about_memory(costs, available_bytes() if free is None else free),
+        *findings.check_files(files, unreadable),
+        *findings.check_number(len(readable)),
+        *findings.check_overlap(names, readable, links),
+        *findings.check_sharpness(names, readable),
+        *findings.check_light(names, readable, links),
+        *findings.check_cameras(names, readable),
+        *findings.check_fruit(share, sizes, config),
+        *findings.check_memory(costs, available_bytes() if free is None else free),
     ]
     progress(1.0, "photos checked")
     return PhotoCheck(
         folder=files.folder,
-        photos=_checked(files, readable, links),
+        photos=_list_checked(files, readable, links),
         findings=sorted(found, key=lambda finding: finding.severity != "problem"),
         costs=costs,
     )
@@ -115,7 +115,7 @@ def _examine_all(paths: Sequence[Path], progress: Progress) -> dict[Path, Examin
     found: dict[Path, Examined | SceneError] = {}
     with ThreadPoolExecutor(min(usable_cores(), MOST_THREADS)) as pool:
         try:
-            for done, (path, each) in enumerate(zip(paths, pool.map(_examined, paths), strict=True), start=1):
+            for done, (path, each) in enumerate(zip(paths, pool.map(_try_examine, paths), strict=True), start=1):
                 progress(done / len(paths), f"reading photo {done} of {len(paths)}")
                 found[path] = each
         except BaseException:
@@ -124,15 +124,15 @@ def _examine_all(paths: Sequence[Path], progress: Progress) -> dict[Path, Examin
     return found
 
 
-def _examined(path: Path) -> Examined | SceneError:
+def _try_examine(path: Path) -> Examined | SceneError:
     try:
         return examine(path)
     except SceneError as error:
         return error
 
 
-def _checked(files: PhotoFiles, readable: Sequence[Examined], links: Links) -> list[CheckedPhoto]:
-    """All photos in order, also those that cannot be read."""
+def _list_checked(files: PhotoFiles, readable: Sequence[Examined], links: Links) -> list[CheckedPhoto]:
+    """List all photos in order, also those that cannot be read."""
     shares = relative_sharpness([photo.sharpness for photo in readable])
     index = {photo.path: number for number, photo in enumerate(readable)}
     degrees = dict(links.graph.degree)

@@ -41,7 +41,7 @@ class StageCost:
     bytes: int
 
 
-def expected_costs(
+def estimate_costs(
     sizes: Sequence[tuple[int, int]],
     config: Config,
     *,
@@ -49,7 +49,7 @@ def expected_costs(
     fruit: float | None = None,
     cores: int | None = None,
 ) -> list[StageCost]:
-    """The cost of each stage; more cores than two are assumed to help in proportion.
+    """Estimate the cost of each stage; more cores than two are assumed to help in proportion.
 
     sizes: (width, height) of the photos; posed: their cameras are given; fruit: their width as a share of the longer
     side of a photo, None if it is not known; cores: of this computer if not given.
@@ -62,7 +62,7 @@ def expected_costs(
     config = replace(config, train=grow_settings(config.train, cameras, photos))
     seconds = {
         "training": _training_seconds(cameras, config),
-        "computing features": FEATURE_SECONDS * sum(_seen_megapixels(camera, fruit) for camera in cameras),
+        "computing features": FEATURE_SECONDS * sum(_count_megapixels(camera, fruit) for camera in cameras),
         "counting": COUNT_SECONDS,
     }
     needed = stage_bytes(config.train.max_gaussians, config, cameras, trained=True)
@@ -87,8 +87,8 @@ def _camera(width: int, height: int, config: Config) -> Camera:
     return Camera(np.eye(3), np.eye(4), max(round(width * share), 1), max(round(height * share), 1))
 
 
-def _seen_megapixels(camera: Camera, fruit: float | None) -> float:
-    """Of a photo as the encoder sees it."""
+def _count_megapixels(camera: Camera, fruit: float | None) -> float:
+    """Count the megapixels of a photo as the encoder sees it."""
     width, height = camera.width, camera.height
     share = USUAL_FRUIT if fruit is None else fruit
     scales = scales_of(height, width, share * max(width, height))

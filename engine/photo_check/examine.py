@@ -56,9 +56,9 @@ def examine(path: Path) -> Examined:
     Raises:
         SceneError: it cannot be decoded.
     """
-    picture, size, camera = _opened(path, DETAIL_SIDE)
+    picture, size, camera = _open(path, DETAIL_SIDE)
     width, height = sorted(size, reverse=picture.width >= picture.height)
-    detail, small = _reduced(picture, DETAIL_SIDE), _reduced(picture, FEATURE_SIDE)
+    detail, small = _reduce(picture, DETAIL_SIDE), _reduce(picture, FEATURE_SIDE)
     features = find_features(np.asarray(small.convert("L")))
     linear = _linear(np.asarray(small.filter(ImageFilter.BoxBlur(_COLOUR_BLUR))))
     columns, rows = np.clip(features.points, 0, [small.width - 1, small.height - 1]).astype(np.intp).T
@@ -71,7 +71,7 @@ def examine(path: Path) -> Examined:
         brightness=float(np.median(linear.mean(axis=2))),
         features=features,
         colors=linear[rows, columns],
-        thumbnail=_reduced(small, THUMBNAIL_SIDE),
+        thumbnail=_reduce(small, THUMBNAIL_SIDE),
     )
 
 
@@ -81,12 +81,13 @@ def read_reduced(path: Path, side_of: Callable[[float], float]) -> NDArray[np.ui
     Raises:
         SceneError: it cannot be decoded.
     """
-    picture, size, _ = _opened(path)
-    return np.asarray(_reduced(picture, max(round(side_of(max(size))), 1)))
+    picture, size, _ = _open(path)
+    return np.asarray(_reduce(picture, max(round(side_of(max(size))), 1)))
 
 
-def _opened(path: Path, enough: int | None = None) -> tuple[Image.Image, tuple[int, int], CameraTags]:
-    """A photo, upright, its size in the file and its camera. enough: longer side in pixels that may be read instead."""
+def _open(path: Path, enough: int | None = None) -> tuple[Image.Image, tuple[int, int], CameraTags]:
+    """Open a photo: the picture, upright, its size in the file and its camera. enough: longer side in pixels that may
+    be read instead."""
     try:
         with open_picture(path) as opened:
             size, camera = opened.size, _camera_tags(opened)
@@ -98,8 +99,8 @@ def _opened(path: Path, enough: int | None = None) -> tuple[Image.Image, tuple[i
         raise SceneError(f"{path} cannot be decoded ({error}). Replace it, or save it as JPEG") from error
 
 
-def _reduced(picture: Image.Image, side: int) -> Image.Image:
-    """The picture with sides of at most this many pixels."""
+def _reduce(picture: Image.Image, side: int) -> Image.Image:
+    """Reduce the picture to sides of at most this many pixels."""
     share = side / max(picture.size)
     if share >= 1.0:
         return picture

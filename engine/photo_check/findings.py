@@ -17,7 +17,7 @@ from .exposure import COLOUR_STEP, EXPOSURE_STEP, changes, most_involved
 from .finding import Finding, list_names, photos_text
 from .links import Links, Pair
 from .photo_files import PhotoFiles
-from .sharpness import SOFT, blurred_photos
+from .sharpness import SOFT, find_blurred
 
 GOOD_PHOTOS = 40
 LEAST_KNOWN = 6.0
@@ -28,8 +28,8 @@ MOST_ALIKE = 0.8
 """Share of consecutive photos without movement above which all photos are alike."""
 
 
-def about_files(files: PhotoFiles, unreadable: Mapping[str, str]) -> list[Finding]:
-    """Findings on RAW files and files that cannot be read; unreadable: {name: reason}."""
+def check_files(files: PhotoFiles, unreadable: Mapping[str, str]) -> list[Finding]:
+    """Return findings on RAW files and files that cannot be read; unreadable: {name: reason}."""
     found = []
     stems = {photo.stem for photo in files.photos}
     alone = [raw.name for raw in files.raw if raw.stem not in stems]
@@ -66,8 +66,8 @@ def about_files(files: PhotoFiles, unreadable: Mapping[str, str]) -> list[Findin
     return found
 
 
-def about_number(count: int) -> list[Finding]:
-    """Findings on too few photos."""
+def check_number(count: int) -> list[Finding]:
+    """Return findings on too few photos."""
     if count >= GOOD_PHOTOS:
         return []
     return [
@@ -80,8 +80,8 @@ def about_number(count: int) -> list[Finding]:
     ]
 
 
-def about_overlap(names: Sequence[str], photos: Sequence[Examined], links: Links) -> list[Finding]:
-    """Findings on photos that show the same, nothing in common, or leave gaps."""
+def check_overlap(names: Sequence[str], photos: Sequence[Examined], links: Links) -> list[Finding]:
+    """Return findings on photos that show the same, nothing in common, or leave gaps."""
     if len(photos) < 2:
         return []
     if _all_alike(photos, links):
@@ -105,7 +105,7 @@ def about_overlap(names: Sequence[str], photos: Sequence[Examined], links: Links
                 photos=names,
             )
         ]
-    return [*_groups(names, links), *_gaps(names, links), *_lone(names, links)]
+    return [*_groups(names, links), *_find_gaps(names, links), *_find_lone(names, links)]
 
 
 def _all_alike(photos: Sequence[Examined], links: Links) -> bool:
@@ -125,7 +125,7 @@ def _groups(names: Sequence[str], links: Links) -> list[Finding]:
     if len(groups) < 2:
         return []
     parts = [f"{len(group)} from {names[group[0]]} to {names[group[-1]]}" for group in groups]
-    breaks = [f"{names[i]} and {names[j]}" for i, j in _breaks(links)]
+    breaks = [f"{names[i]} and {names[j]}" for i, j in _find_breaks(links)]
     between = f"between {' and between '.join(breaks)}" if len(breaks) < len(groups) else "between the groups"
     return [
         Finding(
@@ -139,15 +139,15 @@ def _groups(names: Sequence[str], links: Links) -> list[Finding]:
     ]
 
 
-def _breaks(links: Links) -> list[Pair]:
-    """Consecutive photos of different groups."""
+def _find_breaks(links: Links) -> list[Pair]:
+    """Find consecutive photos of different groups."""
     group_of = {photo: number for number, group in enumerate(links.groups) for photo in group}
     return [(i, j) for i, j in links.gaps if group_of[i] != group_of[j]]
 
 
-def _gaps(names: Sequence[str], links: Links) -> list[Finding]:
-    """Gaps inside a group, whose photos are linked the other way around the tree."""
-    gaps = sorted(set(links.gaps) - set(_breaks(links)))
+def _find_gaps(names: Sequence[str], links: Links) -> list[Finding]:
+    """Find gaps inside a group, whose photos are linked the other way around the tree."""
+    gaps = sorted(set(links.gaps) - set(_find_breaks(links)))
     if not gaps:
         return []
     places = [f"{names[i]} and {names[j]}" for i, j in gaps]
@@ -163,7 +163,7 @@ def _gaps(names: Sequence[str], links: Links) -> list[Finding]:
     ]
 
 
-def _lone(names: Sequence[str], links: Links) -> list[Finding]:
+def _find_lone(names: Sequence[str], links: Links) -> list[Finding]:
     lone = [names[photo] for photo in links.lone]
     if not lone:
         return []
@@ -179,8 +179,8 @@ def _lone(names: Sequence[str], links: Links) -> list[Finding]:
     ]
 
 
-def about_sharpness(names: Sequence[str], photos: Sequence[Examined]) -> list[Finding]:
-    """Findings on blurred photos."""
+def check_sharpness(names: Sequence[str], photos: Sequence[Examined]) -> list[Finding]:
+    """Return findings on blurred photos."""
     values = [photo.sharpness for photo in photos]
     if not values:
         return []
@@ -195,7 +195,7 @@ def about_sharpness(names: Sequence[str], photos: Sequence[Examined]) -> list[Fi
                 " good and faster (--scene.max-side 800)",
             )
         )
-    blurred = [name for name, each in zip(names, blurred_photos(values), strict=True) if each]
+    blurred = [name for name, each in zip(names, find_blurred(values), strict=True) if each]
     if blurred:
         are = "is" if len(blurred) == 1 else "are"
         found.append(
@@ -210,8 +210,8 @@ def about_sharpness(names: Sequence[str], photos: Sequence[Examined]) -> list[Fi
     return found
 
 
-def about_light(names: Sequence[str], photos: Sequence[Examined], links: Links) -> list[Finding]:
-    """Findings on changes of exposure and white balance between photos of the same content."""
+def check_light(names: Sequence[str], photos: Sequence[Examined], links: Links) -> list[Finding]:
+    """Return findings on changes of exposure and white balance between photos of the same content."""
     found = changes(links.links, [photo.colors for photo in photos])
     findings = []
     jumps = {pair: abs(change.exposure) for pair, change in found.items() if abs(change.exposure) > EXPOSURE_STEP}
@@ -243,8 +243,8 @@ def about_light(names: Sequence[str], photos: Sequence[Examined], links: Links) 
     return findings
 
 
-def about_cameras(names: Sequence[str], photos: Sequence[Examined]) -> list[Finding]:
-    """Findings on photos of several cameras, sizes or orientations."""
+def check_cameras(names: Sequence[str], photos: Sequence[Examined]) -> list[Finding]:
+    """Return findings on photos of several cameras, sizes or orientations."""
     found = []
     cameras = [_camera(photo) for photo in photos]
     if len(set(cameras)) > 1:
@@ -289,8 +289,8 @@ def _most_common(values: Sequence[Hashable]) -> Hashable:
     return Counter(values).most_common(1)[0][0]
 
 
-def about_memory(costs: Sequence[StageCost], free: int) -> list[Finding]:
-    """A finding if a stage needs more bytes than are free."""
+def check_memory(costs: Sequence[StageCost], free: int) -> list[Finding]:
+    """Return a finding if a stage needs more bytes than are free."""
     worst = max(costs, key=lambda cost: cost.bytes, default=None)
     if worst is None or worst.bytes <= free:
         return []
@@ -305,9 +305,9 @@ def about_memory(costs: Sequence[StageCost], free: int) -> list[Finding]:
     ]
 
 
-def about_fruit(share: float | None, sizes: Sequence[tuple[int, int]], config: Config) -> list[Finding]:
-    """A finding if fruit will be narrow; share: of the longer side of a photo, None if it is not known; sizes: (width,
-    height) of the photos in pixels."""
+def check_fruit(share: float | None, sizes: Sequence[tuple[int, int]], config: Config) -> list[Finding]:
+    """Return a finding if fruit will be narrow; share: of the longer side of a photo, None if it is not known; sizes:
+    (width, height) of the photos in pixels."""
     if share is None or not sizes:
         return []
     longest = float(np.median([max(size) for size in sizes]))

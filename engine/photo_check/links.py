@@ -75,14 +75,14 @@ def find_links(features: Sequence[Features], *, progress: Progress = silent) -> 
     near = {(i, j) for i in range(count) for j in range(i + 1, min(i + 1 + NEAR, count))}
     spread = np.unique(np.linspace(0, count - 1, min(count, SPREAD)).astype(int)).tolist() if count else []
     pairs = sorted(near | set(itertools.combinations(spread, 2)))
-    links = _matched(features, pairs, lambda share: progress(0.8 * share, "comparing photos"))
+    links = _match(features, pairs, lambda share: progress(0.8 * share, "comparing photos"))
     found = Links(count=count, links=links)
-    rest = sorted(_with_all(_uncertain(found), count) - set(pairs))
-    links |= _matched(features, rest, lambda share: progress(0.8 + 0.2 * share, "comparing photos next to gaps"))
+    rest = sorted(_pair_with_all(_find_uncertain(found), count) - set(pairs))
+    links |= _match(features, rest, lambda share: progress(0.8 + 0.2 * share, "comparing photos next to gaps"))
     return Links(count=count, links=links)
 
 
-def _matched(features: Sequence[Features], pairs: Sequence[Pair], report: Callable[[float], None]) -> dict[Pair, Link]:
+def _match(features: Sequence[Features], pairs: Sequence[Pair], report: Callable[[float], None]) -> dict[Pair, Link]:
     links = {}
     for done, (i, j) in enumerate(pairs):
         if done % 20 == 0:
@@ -93,11 +93,11 @@ def _matched(features: Sequence[Features], pairs: Sequence[Pair], report: Callab
     return links
 
 
-def _uncertain(found: Links) -> list[int]:
-    """Photos next to a gap or in a small group."""
+def _find_uncertain(found: Links) -> list[int]:
+    """Find photos next to a gap or in a small group."""
     ends = sorted(set(itertools.chain.from_iterable(found.gaps)))
     return [*ends, *found.lone][:MOST_ENDS]
 
 
-def _with_all(photos: Iterable[int], count: int) -> set[Pair]:
+def _pair_with_all(photos: Iterable[int], count: int) -> set[Pair]:
     return {(min(i, j), max(i, j)) for i in photos for j in range(count) if i != j}

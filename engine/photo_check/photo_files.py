@@ -31,35 +31,35 @@ class PhotoFiles:
         return photo.relative_to(self.folder).as_posix()
 
 
-def photo_files(source: Source) -> PhotoFiles:
-    """The files to check.
+def list_photo_files(source: Source) -> PhotoFiles:
+    """List the files to check.
 
     Raises:
         SceneError: there is neither a photo nor a RAW file, or the model of the cameras is damaged.
     """
     path = source.path
     if not path.is_dir() or (path / TRANSFORMS).is_file() or find_model(path) is not None:
-        return _posed_files(source)
-    folder = source.photos_alone() or next((each for each in (path / "images", path) if _raw_files(each)), None)
+        return _list_posed(source)
+    folder = source.photos_alone() or next((each for each in (path / "images", path) if _list_raw(each)), None)
     if folder is None:
         raise SceneError(f"{path} has no photos. Give the folder that contains the photos")
-    return PhotoFiles(folder=folder, photos=list_photos(folder), raw=_raw_files(folder), posed=False)
+    return PhotoFiles(folder=folder, photos=list_photos(folder), raw=_list_raw(folder), posed=False)
 
 
 def is_video(source: Source) -> bool:
     """Whether stills of a video are checked; errors as of `Source.video`, but RAW files are a finding of the check."""
-    raw = any(_raw_files(folder) for folder in (source.path / "images", source.path))
+    raw = any(_list_raw(folder) for folder in (source.path / "images", source.path))
     return not raw and source.video() is not None
 
 
-def _posed_files(source: Source) -> PhotoFiles:
-    """The photos of a model or transforms.json."""
+def _list_posed(source: Source) -> PhotoFiles:
+    """List the photos of a model or transforms.json."""
     images = source.read(SceneConfig()).images
     photos = sorted({photo.path for photo in images if isinstance(photo, FilePhoto)})
     folder = Path(os.path.commonpath([photo.parent for photo in photos])) if photos else source.path
     return PhotoFiles(folder=folder, photos=photos, raw=(), posed=True)
 
 
-def _raw_files(folder: Path) -> list[Path]:
-    """The RAW files directly in a folder, in name order; [] if the folder does not exist."""
+def _list_raw(folder: Path) -> list[Path]:
+    """List the RAW files directly in a folder, in name order; [] if the folder does not exist."""
     return list_files(folder, RAW_SUFFIXES)

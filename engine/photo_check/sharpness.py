@@ -60,8 +60,8 @@ def relative_sharpness(values: Sequence[float]) -> list[float]:
     return shares
 
 
-def blurred_photos(values: Sequence[float]) -> list[bool]:
-    """Which photos are blurred, by the sharpness of all photos in order."""
+def find_blurred(values: Sequence[float]) -> list[bool]:
+    """Find which photos are blurred, by the sharpness of all photos in order."""
     least = LEAST_SHARE_OF_ALL * float(np.median(values)) if values else 0.0
     return [
         share < LEAST_SHARE or value < least for value, share in zip(values, relative_sharpness(values), strict=True)

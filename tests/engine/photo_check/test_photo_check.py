@@ -22,10 +22,10 @@ from fruitlangs.engine.config import Config, CountConfig, SceneConfig, TrainConf
 from fruitlangs.engine.errors import Cancelled, OutputError, SceneError
 from fruitlangs.engine.photo_check import findings
 from fruitlangs.engine.photo_check.check import check_photos, fruit_share
-from fruitlangs.engine.photo_check.cost import expected_costs
+from fruitlangs.engine.photo_check.cost import estimate_costs
 from fruitlangs.engine.photo_check.exposure import most_involved
 from fruitlangs.engine.photo_check.finding import Finding, PhotoCheck
-from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, blurred_photos, relative_sharpness, sharpness
+from fruitlangs.engine.photo_check.sharpness import LEAST_SHARE, find_blurred, relative_sharpness, sharpness
 from fruitlangs.engine.photo_check.sheet import COLOURS, contact_sheet, sheet_folder, write_sheet
 from fruitlangs.engine.progress import silent
 
@@ -118,11 +118,11 @@ def test_every_photo_of_the_sample_is_found_if_it_alone_is_blurred(blur: Callabl
 
 
 def test_a_series_of_blurred_photos_is_found() -> None:
-    assert blurred_photos([10.0] * 10 + [2.0] * 10 + [10.0] * 10) == [False] * 10 + [True] * 10 + [False] * 10
+    assert find_blurred([10.0] * 10 + [2.0] * 10 + [10.0] * 10) == [False] * 10 + [True] * 10 + [False] * 10
 
 
 def test_sharpness_that_changes_slowly_is_not_blur() -> None:
-    assert not any(blurred_photos(list(np.geomspace(5.0, 15.0, 30))))
+    assert not any(find_blurred(list(np.geomspace(5.0, 15.0, 30))))
 
 
 def test_blurred_photos_are_named(tmp_path: Path) -> None:
@@ -280,15 +280,15 @@ def test_photos_alone_include_the_camera_search(tmp_path: Path) -> None:
 
 
 def test_twice_the_photos_take_twice_as_long_to_search_and_more_cores_less() -> None:
-    few, many = (expected_costs([(640, 480)] * n, Config(), posed=False, cores=2) for n in (40, 80))
-    fast = expected_costs([(640, 480)] * 80, Config(), posed=False, cores=8)
+    few, many = (estimate_costs([(640, 480)] * n, Config(), posed=False, cores=2) for n in (40, 80))
+    fast = estimate_costs([(640, 480)] * 80, Config(), posed=False, cores=8)
     assert many[0].seconds == pytest.approx(2 * few[0].seconds)
     assert all(quick.seconds < slow.seconds for quick, slow in zip(fast, many, strict=True))
 
 
 def test_expected_time_follows_the_settings_of_training() -> None:
     def training(config: Config) -> float:
-        return expected_costs([(1600, 1200)] * 40, config, posed=True, cores=2)[0].seconds
+        return estimate_costs([(1600, 1200)] * 40, config, posed=True, cores=2)[0].seconds
 
     assert training(Config(train=TrainConfig(steps=400))) == pytest.approx(training(Config()) / 3)
     assert training(Config(scene=SceneConfig(downscale=4))) < training(Config())
@@ -297,7 +297,7 @@ def test_expected_time_follows_the_settings_of_training() -> None:
 @pytest.mark.parametrize("trees", [{"trees": 6}, {"tree_places": tuple(float(i) for i in range(18))}])
 def test_a_row_of_200_photos_is_expected_to_train_longer_and_not_at_once_or_of_one_tree(trees: dict) -> None:
     def training(config: Config) -> float:
-        return expected_costs([(360, 270)] * 200, config, posed=True, cores=2)[0].seconds
+        return estimate_costs([(360, 270)] * 200, config, posed=True, cores=2)[0].seconds
 
     at_once = training(Config())  # with more steps, because photos are more than 60
     assert training(Config(count=CountConfig(**trees))) == pytest.approx(
@@ -314,7 +314,7 @@ def test_too_little_memory_is_a_problem(tmp_path: Path) -> None:
 
 
 def about_fruit(share: float | None, side: int, **scene: int) -> list[Finding]:
-    return findings.about_fruit(share, [(side, side * 3 // 4)] * 3, Config(scene=SceneConfig(**scene)))
+    return findings.check_fruit(share, [(side, side * 3 // 4)] * 3, Config(scene=SceneConfig(**scene)))
 
 
 def test_narrow_fruit_are_reported_with_their_width_and_what_to_do() -> None:
@@ -350,7 +350,7 @@ def test_the_width_of_fruit_is_measured_in_the_photos() -> None:
 
 def test_photos_with_narrow_fruit_take_longer_to_encode() -> None:
     def seconds(fruit: float) -> float:
-        costs = expected_costs([(1600, 1200)] * 40, Config(), posed=True, fruit=fruit, cores=2)
+        costs = estimate_costs([(1600, 1200)] * 40, Config(), posed=True, fruit=fruit, cores=2)
         return next(cost.seconds for cost in costs if cost.stage == "computing features")
 
     assert seconds(15.0 / 1600) == pytest.approx(4.0 * seconds(30.0 / 1600), rel=0.01)
