@@ -54,7 +54,7 @@ print(hashlib.sha256(gaussians.means.numpy().tobytes()).hexdigest())
 AHEAD = """
 from fruitlangs.engine import compile_ahead
 compile_ahead.compile_all()
-print(compiled.all_compiled())
+print(compiled.is_all_compiled())
 """
 FIRST_COUNT = """
 from numba.core import event
@@ -123,13 +123,13 @@ def test_a_child_has_the_name_of_its_parents_package_and_each_name_has_machine_c
 
 
 def test_a_cache_is_complete_only_when_it_was_marked(tmp_path: Path) -> None:
-    ask = "print(compiled.all_compiled())"
+    ask = "print(compiled.is_all_compiled())"
     assert python(tmp_path, ask + CALL, NUMBA_CACHE_DIR=str(tmp_path)).startswith("False")
     assert python(tmp_path, "compiled.mark_compiled()\n" + ask, NUMBA_CACHE_DIR=str(tmp_path)) == "True"
 
 
 def test_a_cache_is_not_complete_for_the_same_version_in_another_folder(tmp_path: Path) -> None:
-    code = "compiled.mark_compiled()\ncompiled._ENGINE = compiled._ENGINE / 'moved'\nprint(compiled.all_compiled())"
+    code = "compiled.mark_compiled()\ncompiled._ENGINE = compiled._ENGINE / 'moved'\nprint(compiled.is_all_compiled())"
     assert python(tmp_path, code, NUMBA_CACHE_DIR=str(tmp_path)) == "False"
 
 

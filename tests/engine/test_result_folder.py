@@ -238,7 +238,7 @@ sys.path.insert(0, sys.argv[1])
 import _checkout
 from pathlib import Path
 from fruitlangs.engine.result_folder import ResultFolder
-with ResultFolder(Path(sys.argv[2])).locked():
+with ResultFolder(Path(sys.argv[2])).lock():
     print("holds it", flush=True)
     time.sleep(600)
 """

@@ -146,9 +146,9 @@ def test_a_model_that_contradicts_itself_after_a_round_is_cut_and_completed_agai
 
     rounds = types.SimpleNamespace(
         straighten=lambda model, _: model,
-        completed=completed,
-        improved=lambda model, *_: sharp if model is bent else model,
-        last=lambda model, _: model,
+        complete=completed,
+        improve=lambda model, *_: sharp if model is bent else model,
+        finish=lambda model, _: model,
     )
     monkeypatch.setattr(refinement, "_Rounds", lambda *_: rounds)
     monkeypatch.setattr(refinement, "_agreement", lambda _: 1)
