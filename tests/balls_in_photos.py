@@ -10,7 +10,7 @@ from fruitlangs.engine.counting.evidence.visibility import Picture
 from fruitlangs.engine.counting.geometry.sphere import unit_directions
 from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.surroundings import Surroundings
-from fruitlangs.engine.counting.photos.verifier import Verifier, load_network
+from fruitlangs.engine.counting.photos.verifier import Verifier, load_networks
 from fruitlangs.engine.counting.photos.views import BLUR, PhotoViews
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 from fruitlangs.engine.scene.camera import Camera, look_along
@@ -67,7 +67,7 @@ def surroundings_of(balls: Places, on_surfaces: NDArray, diameter: float) -> Sur
 
 def verifier_of(balls: Places, diameter: float, *, every: int = 2) -> Verifier:
     """diameter: of the fruit that were found on surfaces: one of so many balls."""
-    return Verifier(load_network(), views_of(balls), surroundings_of(balls, balls.centers[::every], diameter))
+    return Verifier(load_networks(), views_of(balls), surroundings_of(balls, balls.centers[::every], diameter))
 
 
 def balls_of(radii: NDArray, *, gap: float = 1.25, seed: int = 0) -> Places:

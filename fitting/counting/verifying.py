@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -20,7 +21,7 @@ from ...engine.counting.photos.places import Places
 from ...engine.counting.photos.search import UNLIKELY, find_likely_places, search_photos
 from ...engine.counting.photos.surroundings import FARTHEST, Surroundings
 from ...engine.counting.photos.surroundings import NUMBERS as SURROUNDINGS
-from ...engine.counting.photos.verifier import Network, Verifier, find_known_near, look
+from ...engine.counting.photos.verifier import SCENE, Network, Networks, Verifier, find_known_near, look
 from ...engine.counting.photos.view_kernels import CHANNELS, DOWN, RIGHT
 from ...engine.counting.photos.views import PhotoViews
 from ...engine.evaluation.judgement import Judgement, judge
@@ -56,6 +57,11 @@ MOST_DROPPED = 0.5
 """Largest share of its views that are left out of a place; the share is random."""
 UNMATCHED = 0.15
 """Share of the places around which no Gaussian matches the prompt, as where trained Gaussians lose a fruit."""
+MOST_TIMES = 2.5
+"""Places are learnt with up to this many times as many photos, and as dense Gaussians, as their tree has, or as few:
+trees for training have half as many photos as people take of a whole tree."""
+VIEW_SUMS, OPACITIES = slice(0, 5), slice(SCENE - SURROUNDINGS + 2, SCENE - SURROUNDINGS + 4)
+"""The numbers of the scene that grow with the photos, and those that grow with the Gaussians on a fruit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,7 @@ class Tree:
     def diameter(self) -> float:
         return self.surroundings.diameter
 
-    def verifier(self, network: Network) -> Verifier:
+    def verifier(self, network: Network | Networks) -> Verifier:
         return Verifier(network, self.views, self.surroundings)
 
 
@@ -151,7 +157,7 @@ def mismeasured(radii: FloatArray, sd: float, rng: np.random.Generator) -> Float
     return radii * np.exp(rng.normal(size=len(radii)) * sd)
 
 
-def mined(tree: Tree, network: Network, rng: np.random.Generator) -> Samples:
+def mined(tree: Tree, network: Network | Networks, rng: np.random.Generator) -> Samples:
     """Where the network looks for fruit, right or wrong, with the radii that it measures there, each with the fruit
     that are known to it."""
     truth = tree.truth
@@ -233,7 +239,7 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
             exists = samples.exists[rows]
             exists = exists & (torch.rand(exists.shape, generator=generator) >= dropped)
             odds, guesses, errors, growths, size_errors = network(
-                crops, exists, _unmatched(samples.scene[rows], generator)
+                crops, exists, _unmatched(_rescale(samples.scene[rows], generator), generator)
             )
             verdict = functional.binary_cross_entropy_with_logits(
                 odds, samples.fruit[rows], weight=samples.weights[rows]
@@ -262,6 +268,16 @@ def _unmatched(scene: Tensor, generator: torch.Generator) -> Tensor:
     lost = torch.stack([nothing + FARTHEST, nothing, nothing, torch.maximum(around, within), nothing], dim=1)
     some = torch.rand(len(scene), 1, generator=generator) < UNMATCHED
     return torch.cat([scene[:, :-SURROUNDINGS], torch.where(some, lost, numbers)], dim=1)
+
+
+def _rescale(scene: Tensor, generator: torch.Generator) -> Tensor:
+    """Numbers of the scene (n, SCENE), as if it had more or fewer photos and Gaussians, see MOST_TIMES."""
+    draws = 2.0 * torch.rand(len(scene), 2, generator=generator) - 1.0
+    photos, gaussians = torch.exp(math.log(MOST_TIMES) * draws).split(1, dim=1)
+    numbers = scene.clone()
+    for part, times in ((VIEW_SUMS, photos), (OPACITIES, gaussians)):
+        numbers[:, part] = torch.log1p(torch.expm1(scene[:, part]) * times)
+    return numbers
 
 
 def calibrate(network: Network, trees: Sequence[Tree]) -> None:

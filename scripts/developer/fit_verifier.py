@@ -4,8 +4,9 @@
 
 Learns from places in rendered trees, with Gaussians that are trained on each once and kept in its folder, and with the
 package's encoder. After a first training the network searches every tree itself, and what it found, right or wrong, is
-learnt too. Trees that --check names are left out: the log odds and the errors of radii are calibrated on them, and they
-are measured: F1 of surfaces alone, and of the photos at several log odds, and how far radii are off.
+learnt too. With --add, the networks of a file stay, and the new one is added: their answers are averaged, because each
+errs in other places. Trees that --check names are left out: the log odds and the errors of radii are calibrated on
+them, and they are measured: F1 of surfaces alone, and of the photos at several log odds, and how far radii are off.
 """
 
 from __future__ import annotations
@@ -24,11 +25,10 @@ from _terminal import import_tyro, run, say
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.search import search_photos
-from fruitlangs.engine.counting.photos.verifier import FORMAT, STORED, Network
+from fruitlangs.engine.counting.photos.verifier import STORED, Network, Networks, read_networks, write_networks
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
-from fruitlangs.engine.storage.files import halve_precision, write_tensors
 from fruitlangs.fitting.counting.verifying import (
     Samples,
     Tree,
@@ -56,6 +56,8 @@ class Options:
     """Folder of rendered trees, written by `make_orchard.py`."""
     out: Path = STORED
     """File to write."""
+    add: Path | None = None
+    """A file of networks to which the new one is added."""
     check: tuple[str, ...] = ()
     """Folders of trees that are calibrated on and measured, and not learnt from, such as plum-3003."""
     rounds: int = 2
@@ -70,10 +72,12 @@ def main(options: Options) -> None:
     rng, trees = np.random.default_rng(options.seed), list(prepared(options.renders))
     checked = [tree for tree in trees if tree.name in options.check]
     learnt = [tree for tree in trees if tree not in checked]
+    stored = None if options.add is None else read_networks(options.add)
+    earlier, notes = (Networks([]), ()) if stored is None else (stored.networks, stored.notes)
     samples = [around_truth(tree, rng) for tree in learnt for _ in range(COPIES)]
-    network = Network()
+    network: Network | Networks = earlier
     for number in range(options.rounds + 1):
-        if number:
+        if number or notes:
             samples += [mined(tree, network, rng) for tree in learnt]
         together = Samples.join(samples)
         say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
@@ -83,11 +87,13 @@ def main(options: Options) -> None:
             calibrate(network, checked)
             say(table(checked, network))
         used = {"trees": [tree.name for tree in learnt], "calibrated on": [tree.name for tree in checked]}
-        header = {"format": FORMAT, "encoder": EmbeddedEncoder.open().fruit_identity, **used}
-        write_tensors(options.out, halve_precision(network.state_dict()), header)
+        networks = Networks([*earlier.networks, network])
+        write_networks(options.out, networks, [*notes, used], EmbeddedEncoder.open().fruit_identity)
+    if notes and checked:
+        say(f"all {len(notes) + 1} networks together:\n{table(checked, networks)}")
 
 
-def table(trees: list[Tree], network: Network) -> str:
+def table(trees: list[Tree], network: Network | Networks) -> str:
     """Markdown: F1 of each tree, of the fruit on surfaces and of the places in photos."""
     lines = [["tree", "surfaces", *(f"log odds > {odds:g}" for odds in ODDS), "bias of radii", "their deviation"]]
     rows = []

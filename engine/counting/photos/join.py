@@ -21,7 +21,7 @@ from ..geometry.sphere import weigh_spheres
 from .colours import doubt_unlike
 from .search import FoundInPhotos, search_photos
 from .surroundings import Surroundings
-from .verifier import Verifier, load_network
+from .verifier import Verifier, load_networks
 from .views import PhotoViews
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +62,7 @@ def add_photos(
     centers, diameter = found.found.spheres.centers, found.size.diameter
     likely = centers[found.probabilities > LIKELY]
     surroundings = Surroundings.of(photos.gaussians, photos.probabilities, likely, diameter, threshold)
-    verifier = Verifier(load_network(), PhotoViews.of(pictures, photos.maps), surroundings)
+    verifier = Verifier(load_networks(), PhotoViews.of(pictures, photos.maps), surroundings)
     cameras = [picture.camera for picture in pictures]
     in_photos = search_photos(verifier, diameter, frame_of(cameras), progress=progress)
     together = doubt_unlike(join_places(found, in_photos, pictures, threshold), photos.gaussians)

@@ -11,10 +11,11 @@ trees.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from ...errors import EncoderError
-from ...storage.files import read_tensors
+from ...storage.files import halve_precision, read_tensors, write_tensors
 from .places import Places
 from .surroundings import Surroundings
 from .view_kernels import CHANNELS
@@ -33,7 +34,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 STORED = Path(__file__).with_name("verifier.safetensors")
-FORMAT = "fruitlangs-verifier-4"
+FORMAT = "fruitlangs-verifier-5"
 CELLS, SPAN = 16, 2.0
 """Cells along each side of a crop, and radii to each side that it covers."""
 VIEWS = 16
@@ -82,7 +83,7 @@ class Network(nn.Module):
             nn.Linear(2 * NUMBERS + 1 + SCENE, 64), nn.ReLU(), nn.Dropout(0.1), nn.Linear(64, 3)
         )
 
-    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> Answers:
         n, k = exists.shape
         index = exists.reshape(-1).nonzero()[:, 0]
         said = self.crop(crops.reshape(n * k, *crops.shape[2:])[index])
@@ -94,6 +95,23 @@ class Network(nn.Module):
         joined = torch.cat([mean, numbers.amax(1), torch.log1p(total), scene], dim=1)
         odds, growths, size_errors = self.together(joined).unbind(1)
         return odds, views[..., :2], views[..., 2].clamp(-4.0, 3.0), growths, size_errors.clamp(-4.0, 1.0)
+
+
+Answers = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""What a `Network` returns."""
+
+
+class Networks(nn.Module):
+    """Networks whose answers are averaged: each one errs in other places."""
+
+    def __init__(self, networks: Sequence[Network]) -> None:
+        super().__init__()
+        self.networks = nn.ModuleList(networks)
+
+    def forward(self, crops: Tensor, exists: Tensor, scene: Tensor) -> Answers:
+        answers = zip(*(network(crops, exists, scene) for network in self.networks), strict=True)
+        odds, shifts, errors, growths, size_errors = (torch.stack(each).mean(0) for each in answers)
+        return odds, shifts, errors, growths, size_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +169,7 @@ class Verifier:
     """The network with what it looks at. views: of the scene; surroundings: its Gaussians; spread: standard deviation
     of the logarithm of the radii of its fruit."""
 
-    network: Network
+    network: Network | Networks
     views: PhotoViews
     surroundings: Surroundings
     spread: float = UNKNOWN_SPREAD
@@ -223,19 +241,45 @@ def find_known_near(centers: FloatArray, others: Places, own: IntArray | None = 
     return near
 
 
-def read_network(path: Path) -> Network:
-    """The network that `scripts/developer/fit_verifier.py` wrote.
+def write_networks(path: Path, networks: Networks, notes: Sequence[Mapping[str, Any]], encoder_id: str) -> None:
+    """Write networks in half precision. notes: of each, the trees that it was trained and calibrated on; encoder_id:
+    `fruit_identity` of the encoder whose maps they were trained for."""
+    header = {"format": FORMAT, "encoder": encoder_id, "networks": list(notes)}
+    write_tensors(path, halve_precision(networks.state_dict()), header)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredNetworks:
+    """What `write_networks` wrote. networks: ready for inference."""
+
+    networks: Networks
+    notes: Sequence[Mapping[str, Any]]
+    encoder_id: str
+
+
+@cache
+def read_networks(path: Path) -> StoredNetworks:
+    """Read what `write_networks` wrote.
 
     Raises:
         EncoderError: the file is missing, damaged or of another version.
     """
-    return _read(path)[0]
+    try:
+        tensors, header = read_tensors(path)
+        if header["format"] != FORMAT:
+            raise ValueError(f"it holds {header['format']}")
+        networks = Networks([Network() for _ in header["networks"]])
+        networks.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
+        return StoredNetworks(networks.eval(), header["networks"], str(header["encoder"]))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise EncoderError(
+            f"The weights {path} cannot be read ({str(error).splitlines()[0]}). Install the package again"
+        ) from error
 
 
-@cache
-def load_network() -> Network:
-    """Load the network that comes with the package."""
-    return read_network(STORED)
+def load_networks() -> Networks:
+    """Load the networks that come with the package."""
+    return read_networks(STORED).networks
 
 
 def require_trained_for(encoder_id: str, path: Path = STORED) -> None:
@@ -246,25 +290,9 @@ def require_trained_for(encoder_id: str, path: Path = STORED) -> None:
     Raises:
         EncoderError: the file is missing, damaged, or was trained for other networks.
     """
-    trained_for = _read(path)[1]
+    trained_for = read_networks(path).encoder_id
     if trained_for != encoder_id:
         raise EncoderError(
             f"The weights {path} were trained for {trained_for}, not for {encoder_id}. Install the package again, or "
             "train them again with scripts/developer/fit_verifier.py"
         )
-
-
-@cache
-def _read(path: Path) -> tuple[Network, str]:
-    """The network in a file, ready for inference, and the `fruit_identity` of the encoder that it was trained for."""
-    try:
-        tensors, header = read_tensors(path)
-        if header["format"] != FORMAT:
-            raise ValueError(f"it holds {header['format']}")
-        network = Network()
-        network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()})
-        return network.eval(), str(header["encoder"])
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise EncoderError(
-            f"The weights {path} cannot be read ({str(error).splitlines()[0]}). Install the package again"
-        ) from error

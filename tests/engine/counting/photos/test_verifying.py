@@ -10,13 +10,17 @@ from scipy.spatial import cKDTree
 
 from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
 from fruitlangs.engine.counting.photos.search import FoundInPhotos, search_photos
-from fruitlangs.engine.counting.photos.verifier import Looked, Network, load_network, look
+from fruitlangs.engine.counting.photos.verifier import SCENE, Looked, Network, load_networks, look
 from fruitlangs.engine.evaluation.truth import Truth
 from fruitlangs.fitting.counting import verifying
 from fruitlangs.fitting.counting.verifying import (
     KNOWN_RADIUS_SD,
+    MOST_TIMES,
+    OPACITIES,
     PLACE_RADIUS_SD,
+    VIEW_SUMS,
     Tree,
+    _rescale,
     _samples,
     around_truth,
     calibrate,
@@ -73,8 +77,8 @@ def test_known_fruit_have_about_their_own_radii(tree: Tree, looks: list[tuple[np
 def test_mistakes_are_learnt_with_the_radii_that_the_search_found_and_with_others(
     tree: Tree, looks: list[tuple[np.ndarray, ...]]
 ) -> None:
-    samples = mined(tree, load_network(), np.random.default_rng(0))
-    found = search_photos(tree.verifier(load_network()), tree.diameter, tree.frame)
+    samples = mined(tree, load_networks(), np.random.default_rng(0))
+    found = search_photos(tree.verifier(load_networks()), tree.diameter, tree.frame)
     (exact, radii, known, known_radii), (moved, radii_of_moved, _, _) = looks
     assert np.array_equal(exact, found.places.centers)
     assert np.array_equal(radii, found.places.radii)
@@ -96,11 +100,23 @@ def test_shifts_that_are_learnt_are_those_from_which_the_verifier_moves_to_the_f
     aside = Places(BALLS.centers[:1] + [0.01, -0.02, 0.02], BALLS.radii[:1])
     samples = _samples(tree, aside, NO_PLACES, np.full((1, 1), -1), np.zeros((1, 11), bool))
     chosen, _ = tree.views.choose(aside.centers, aside.radii, samples.exists.shape[1])
-    moves = tree.verifier(load_network())._moves(
+    moves = tree.verifier(load_networks())._moves(
         aside.centers, aside.radii, chosen, samples.shifts, torch.full(samples.exists.shape, -4.0)
     )
     assert samples.near.any()
     np.testing.assert_allclose(moves[0], BALLS.centers[0] - aside.centers[0], atol=0.001)
+
+
+def test_places_are_also_learnt_as_if_their_tree_had_other_numbers_of_photos_and_gaussians() -> None:
+    scene = torch.rand(2000, SCENE) + 0.5
+    numbers = _rescale(scene, torch.Generator().manual_seed(0))
+    changed = (numbers != scene).any(0).nonzero()[:, 0].tolist()
+    assert changed == [*range(SCENE)[VIEW_SUMS], *range(SCENE)[OPACITIES]]
+    for part in (VIEW_SUMS, OPACITIES):
+        times = torch.expm1(numbers[:, part]) / torch.expm1(scene[:, part])
+        assert (times - times[:, :1]).abs().max() < 1e-3
+        assert MOST_TIMES * 0.98 < float(times.max()) < MOST_TIMES * 1.01
+        assert float(times.min()) == pytest.approx(1.0 / MOST_TIMES, rel=0.03)
 
 
 def test_equal_places_train_equal_networks(tree: Tree) -> None:
