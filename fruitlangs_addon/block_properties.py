@@ -8,7 +8,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
 
-from ..operators.block.block import colors_chosen, tree_chosen
+from ..operators.block.block import apply_chosen_colors, select_chosen_tree
 from ..operators.settings.settings import RELATIVE
 
 
@@ -29,14 +29,14 @@ class FRUITLANGS_PG_block(bpy.types.PropertyGroup):
         name="Folder", subtype="DIR_PATH", options=RELATIVE, description="Folder that count_orchard.py wrote (--out)"
     )
     trees: CollectionProperty(type=FRUITLANGS_PG_block_tree)
-    active: IntProperty(name="Tree", update=tree_chosen, description="Active tree of the list")
+    active: IntProperty(name="Tree", update=select_chosen_tree, description="Active tree of the list")
     colors: EnumProperty(
         name="Colour",
         items=[
             ("TREE", "Tree", "A colour for each tree"),
             ("PROBABILITY", "Probability", "Yellow: certainly a fruit; blue: uncertain"),
         ],
-        update=colors_chosen,
+        update=apply_chosen_colors,
         description="What the colours of the fruit show",
     )
 

@@ -15,7 +15,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..operators.photos.photo_backgrounds import opacity_changed
+from ..operators.photos.photo_backgrounds import apply_opacity
 
 
 class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
@@ -24,7 +24,7 @@ class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
     show: BoolProperty(
         name="Show Photo",
         default=True,
-        update=opacity_changed,
+        update=apply_opacity,
         description="Show the photo in the view through its camera",
     )
     opacity: FloatProperty(
@@ -33,7 +33,7 @@ class FRUITLANGS_PG_photos(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=opacity_changed,
+        update=apply_opacity,
         description="Opacity of the photo over the reconstruction",
     )
     perspective: StringProperty(name="View", description="Mode of the free view; empty if no photo is shown")

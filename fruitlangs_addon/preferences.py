@@ -11,16 +11,16 @@ from typing import Any
 import bpy
 
 from ..engine.child_process import usable_cores
-from ..operators.package_folder import EXTENSION, installs, packages_folder
+from ..operators.package_folder import EXTENSION, list_installs, packages_folder
 from ..operators.packages.caches import FRUITLANGS_OT_clear_caches
 from ..operators.packages.dependencies import (
     FRUITLANGS_OT_confirm_install,
     FRUITLANGS_OT_install_dependencies,
-    missing_packages,
+    find_missing_packages,
     offers_cuda,
 )
-from ..operators.settings.settings import online
-from ..operators.steps.device import ON_CPU, trains_on
+from ..operators.settings.settings import is_online
+from ..operators.steps.device import ON_CPU, describe_device
 from .panels.missing_packages import draw_missing_packages
 from .panels.panel_parts import draw_job
 
@@ -45,7 +45,7 @@ class FRUITLANGS_AP_preferences(bpy.types.AddonPreferences):
         layout.use_property_decorate = False
         if not draw_missing_packages(layout, context):
             layout.label(text="All Python packages are installed", icon="CHECKMARK")
-            if installs(packages_folder()):
+            if list_installs(packages_folder()):
                 layout.label(text=f"Installed in {packages_folder()}", icon="BLANK1")
         layout.label(text=device_text(), icon="DESKTOP")
         draw_cuda(layout, context)
@@ -68,15 +68,15 @@ def device_text() -> str:
         text += f"; CLIP and SAM on {torch.cuda.get_device_name(0)}"
     elif torch is not None and torch.backends.mps.is_available():
         text += "; CLIP and SAM on the Apple card"
-    card = trains_on("auto")
+    card = describe_device("auto")
     return text if card in ("", ON_CPU) else f"{text}. {card}"
 
 
 def draw_cuda(layout: Any, context: bpy.types.Context) -> None:
     """The button that installs PyTorch for NVIDIA cards, where there is a card that it would serve."""
     if (
-        missing_packages()
-        or not offers_cuda(trains_on("auto"))
+        find_missing_packages()
+        or not offers_cuda(describe_device("auto"))
         or draw_job(layout, FRUITLANGS_OT_install_dependencies.title, context)
     ):
         return
@@ -89,7 +89,7 @@ def draw_cuda(layout: Any, context: bpy.types.Context) -> None:
 
 def draw_online(layout: Any) -> None:
     """Whether Blender allows online access, and where to change it."""
-    if online():
+    if is_online():
         layout.label(text="Online: downloads packages and checkpoints when you ask for them", icon="INTERNET")
         return
     layout.label(text="Offline: online access is disabled in Preferences > System", icon="INTERNET_OFFLINE")

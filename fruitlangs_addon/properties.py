@@ -11,9 +11,9 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 
 from ..operators.drawing.splat_drawing import edit_appearance_soon
-from ..operators.settings.settings import RELATIVE, apply_preset, config_properties, stage_classes
-from ..operators.steps.ask import suggestions, threshold_changed, words_changed
-from ..operators.viewport.fruit_colours import fruit_colours_chosen
+from ..operators.settings.settings import RELATIVE, apply_preset, make_config_properties, stage_classes
+from ..operators.steps.ask import answer_changed_words, apply_threshold, suggest_prompts
+from ..operators.viewport.fruit_colours import apply_chosen_colours
 from ..operators.viewport.gaussian_nodes import DIMMING
 from . import block_properties as block
 from . import check_properties as check
@@ -30,12 +30,12 @@ def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
     )
 
 
-UPDATES: dict[str, dict[str, Any]] = {"count": {"threshold": threshold_changed}}
+UPDATES: dict[str, dict[str, Any]] = {"count": {"threshold": apply_threshold}}
 """{stage: {setting: update callback}}."""
 
 STAGES = {
     stage: _group(
-        f"FRUITLANGS_PG_{stage}", config_properties(config_class, UPDATES.get(stage, {})), config_class.__doc__
+        f"FRUITLANGS_PG_{stage}", make_config_properties(config_class, UPDATES.get(stage, {})), config_class.__doc__
     )
     for stage, config_class in stage_classes().items()
 }
@@ -149,7 +149,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
             ("TREE", "Tree", "A colour for each tree of a row"),
             ("PROBABILITY", "Probability", "Yellow: certainly a fruit; blue: uncertain"),
         ],
-        update=fruit_colours_chosen,
+        update=apply_chosen_colours,
         description="What the colours of the fruit show",
     )
 
@@ -179,15 +179,15 @@ class FRUITLANGS_PG_settings(bpy.types.PropertyGroup):
     prompt: StringProperty(
         name="Prompt",
         default="apple",
-        update=words_changed,
-        search=suggestions,
+        update=answer_changed_words,
+        search=suggest_prompts,
         search_options={"SUGGESTION"},
         description="What to count, for example apple or red apple; separate several prompts by commas",
     )
     negative: StringProperty(
         name="Exclude",
-        update=words_changed,
-        search=suggestions,
+        update=answer_changed_words,
+        search=suggest_prompts,
         search_options={"SUGGESTION"},
         description="What to exclude, in addition to leaves, branches and other built-in negatives; separate by commas",
     )

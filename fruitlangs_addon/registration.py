@@ -93,7 +93,7 @@ def register() -> None:
 def unregister() -> None:
     """Unregister everything; a tool that waits for clicks ends, and a running job is asked to stop."""
     active_tool.end_waiting()
-    jobs.let_go(CANCEL_SECONDS)
+    jobs.release_job(CANCEL_SECONDS)
     splat_drawing.unregister_handlers()
     open_stored.unregister_handlers()
     moved_paths.unregister_handlers()

@@ -42,20 +42,20 @@ _FIELDS: dict[AttributeType, tuple[str, int]] = {
 }
 
 
-def array(values: Any, dtype: type = np.float32) -> NDArray[Any]:
-    """A contiguous NumPy array of `values`: a torch tensor on any device, an array or a sequence."""
+def to_array(values: Any, dtype: type = np.float32) -> NDArray[Any]:
+    """Return `values` as a contiguous NumPy array: a torch tensor on any device, an array or a sequence."""
     if hasattr(values, "detach"):
         values = values.detach().cpu().numpy()
     return np.ascontiguousarray(values, dtype=dtype)
 
 
-def point_mesh(name: str, positions: NDArray[Any]) -> bpy.types.Mesh:
-    """A mesh of loose vertices at `positions`, (N, 3)."""
+def make_point_mesh(name: str, positions: NDArray[Any]) -> bpy.types.Mesh:
+    """Make a mesh of loose vertices at `positions`, (N, 3)."""
     mesh = bpy.data.meshes.new(name)
     if len(positions):
         mesh.vertices.add(len(positions))
-        mesh.attributes["position"].data.foreach_set("vector", array(positions).ravel())
-        corners = np.stack([array(positions).min(axis=0), array(positions).max(axis=0)])
+        mesh.attributes["position"].data.foreach_set("vector", to_array(positions).ravel())
+        corners = np.stack([to_array(positions).min(axis=0), to_array(positions).max(axis=0)])
         mesh[EXTENT] = [len(positions), *corners.ravel().tolist()]
     return mesh
 
@@ -87,7 +87,7 @@ def set_attribute(mesh: bpy.types.Mesh, name: str, kind: AttributeType, values: 
         mesh.attributes.remove(old)
     attribute = mesh.attributes.new(name, kind, "POINT")
     field, width = _FIELDS[kind]
-    flat = array(values, np.int32 if kind == "INT" else np.float32).ravel()
+    flat = to_array(values, np.int32 if kind == "INT" else np.float32).ravel()
     if flat.size != len(mesh.vertices) * width:
         raise ValueError(f"attribute {name}: {flat.size} numbers for {len(mesh.vertices)} points of {width}")
     if flat.size:
@@ -120,18 +120,18 @@ def rgba(rgb: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([rgb, np.ones((len(rgb), 1), np.float32)], axis=1)
 
 
-def owned_object(scene: bpy.types.Scene, role: Role) -> bpy.types.Object | None:
-    """This Blender scene's object with that role."""
+def find_owned_object(scene: bpy.types.Scene, role: Role) -> bpy.types.Object | None:
+    """Find this Blender scene's object with that role."""
     return next((item for item in scene.objects if _has_role(item, role)), None)
 
 
-def owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
-    """All of this Blender scene's objects with that role."""
+def find_owned_objects(scene: bpy.types.Scene, role: Role) -> list[bpy.types.Object]:
+    """Find all of this Blender scene's objects with that role."""
     return [item for item in scene.objects if _has_role(item, role)]
 
 
-def edited_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """An object of ours in this Blender scene that is not in Object Mode."""
+def find_edited_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """Find an object of ours in this Blender scene that is not in Object Mode."""
     actives = (layer.objects.active for layer in scene.view_layers)
     if all(item is None or item.mode == "OBJECT" for item in actives):
         return None
@@ -144,40 +144,40 @@ def _has_role(item: bpy.types.Object, role: Role) -> bool:
     return item.get(OWNER) == role and item.library is None and (item.type == "MESH" or role not in MESHES)
 
 
-def gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
-    """These attributes of this Blender scene's Gaussians; None if there are none, if they are being edited, or if one
-    is missing.
+def read_gaussian_attributes(scene: bpy.types.Scene, *names: str) -> list[NDArray[Any]] | None:
+    """Read these attributes of this Blender scene's Gaussians; None if there are none, if they are being edited, or if
+    one is missing.
 
     Raises:
         SceneError: positions are asked for, and were moved within the mesh.
     """
-    item = owned_object(scene, "gaussians")
+    item = find_owned_object(scene, "gaussians")
     if item is None or item.mode == "EDIT" or any(name not in item.data.attributes for name in names):
         return None
     return [point_positions(item) if name == "position" else get_attribute(item.data, name) for name in names]
 
 
-def local_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
-    """All collections of this Blender scene below its own, except those linked from another file."""
+def list_local_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """List all collections of this Blender scene below its own, except those linked from another file."""
     return [each for each in scene.collection.children_recursive if each.library is None]
 
 
-def owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
-    """This Blender scene's collection with that role, created under its name if there is none."""
-    for collection in local_collections(scene):
+def ensure_owned_collection(scene: bpy.types.Scene, role: Role, name: str) -> bpy.types.Collection:
+    """Return this Blender scene's collection with that role, created under its name if there is none."""
+    for collection in list_local_collections(scene):
         if collection.get(OWNER) == role:
             return collection
-    parent = scene.collection if role == "scene" else owned_collection(scene, "scene", "FruitLangs")
+    parent = scene.collection if role == "scene" else ensure_owned_collection(scene, "scene", "FruitLangs")
     collection = bpy.data.collections.new(name)
     collection[OWNER] = role
     parent.children.link(collection)
     return collection
 
 
-def new_object(
+def make_object(
     name: str, data: bpy.types.ID | None, role: Role, collection: bpy.types.Collection, parent: bpy.types.Object | None
 ) -> bpy.types.Object:
-    """An object of ours, linked into its collection, with coordinates relative to `parent`."""
+    """Make an object of ours, linked into its collection, with coordinates relative to `parent`."""
     item = bpy.data.objects.new(name, data)
     item[OWNER] = role
     item.parent = parent
@@ -227,8 +227,8 @@ def replace_mesh(item: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     mesh.name = name
 
 
-def original(items: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
-    """The object of ours among these that a writer uses again; copies of it belong to the user from now on and are
+def find_original(items: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+    """Find the object of ours among these that a writer uses again; copies of it belong to the user from now on and are
     neither replaced nor deleted."""
     first, *copies = sorted(items, key=lambda item: (len(item.name), item.name)) or [None]
     for item in copies:
@@ -236,8 +236,9 @@ def original(items: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
     return first
 
 
-def unlinked_fruit(root: bpy.types.Object) -> list[bpy.types.Object]:
-    """The fruit below this root that are in no Blender scene, for example because their collection was unlinked."""
+def find_unlinked_fruit(root: bpy.types.Object) -> list[bpy.types.Object]:
+    """Find the fruit below this root that are in no Blender scene, for example because their collection was
+    unlinked."""
     own = (item for item in bpy.data.objects if item.parent == root and _has_role(item, "fruit"))
     return [item for item in own if not item.users_scene]
 

@@ -30,26 +30,27 @@ def packages_folder() -> Path:
         return Path(bpy.utils.user_resource("DATAFILES", path="fruitlangs")) / "packages"
 
 
-def new_install(folder: Path, *, cuda: bool = False) -> Path:
-    """The name of the next install for this Python: 'cpython-311-1' for the first; 'cpython-311-cuda-1'."""
-    last = max(map(_number, installs(folder)), default=0)
+def name_new_install(folder: Path, *, cuda: bool = False) -> Path:
+    """Name the next install for this Python: 'cpython-311-1' for the first; 'cpython-311-cuda-1'."""
+    last = max(map(_parse_number, list_installs(folder)), default=0)
     return folder / f"{sys.implementation.cache_tag}{CUDA if cuda else ''}-{last + 1}"
 
 
-def installs(folder: Path) -> list[Path]:
-    """The finished installs for this Python, oldest first; Blender also copies folders of versions with another one."""
+def list_installs(folder: Path) -> list[Path]:
+    """List the finished installs for this Python, oldest first; Blender also copies folders of versions with another
+    one."""
     found = folder.glob(f"{sys.implementation.cache_tag}-*") if folder.is_dir() else []
-    return sorted((path for path in found if path.name.rpartition("-")[2].isdigit()), key=_number)
+    return sorted((path for path in found if path.name.rpartition("-")[2].isdigit()), key=_parse_number)
 
 
-def _number(install: Path) -> int:
+def _parse_number(install: Path) -> int:
     return int(install.name.rpartition("-")[2])
 
 
 def use_packages(folder: Path | None = None) -> None:
     """Let Python import packages from `folder`, else from ours, after all that Blender has; PyTorch for NVIDIA cards
     before it."""
-    for path in installs(folder or packages_folder()):
+    for path in list_installs(folder or packages_folder()):
         if str(path) not in sys.path:
             sys.path.insert(0 if CUDA in path.name else len(sys.path), str(path))
     importlib.invalidate_caches()
@@ -57,5 +58,5 @@ def use_packages(folder: Path | None = None) -> None:
 
 def forget_packages() -> None:
     """Undo `use_packages`; what was imported stays imported."""
-    own = {str(path) for path in installs(packages_folder())}
+    own = {str(path) for path in list_installs(packages_folder())}
     sys.path[:] = [path for path in sys.path if path not in own]

@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix, Quaternion
 
 from ..engine.errors import SceneError
-from .blender_data import owned_object
+from .blender_data import find_owned_object
 from .scene_frame import SceneFrame, scene_frame
 
 UPRIGHT = "fruitlangs_upright"
@@ -25,7 +25,7 @@ UNMOVED = 1e-5
 
 def root_frame(bpy_scene: bpy.types.Scene) -> SceneFrame | None:
     """The scene frame; the root's own if the objects below it were moved apart; None without a root."""
-    root = owned_object(bpy_scene, "root")
+    root = find_owned_object(bpy_scene, "root")
     if root is None:
         return None
     try:
@@ -37,12 +37,12 @@ def root_frame(bpy_scene: bpy.types.Scene) -> SceneFrame | None:
 def upright_of(frame: SceneFrame) -> Matrix:
     """(4, 4) from the scene frame to the upright one; in a file of an earlier version the root's matrix."""
     stored = frame.root.get(UPRIGHT)
-    return _in_parent(frame) if stored is None else Matrix(np.reshape(stored, (4, 4)).tolist())
+    return _find_in_parent(frame) if stored is None else Matrix(np.reshape(stored, (4, 4)).tolist())
 
 
 def placement_of(frame: SceneFrame) -> Matrix | None:
     """(4, 4) how the user moved, rotated and scaled the upright tree; None if it is where the extension put it."""
-    placed, upright = (np.array(matrix, np.float64) for matrix in (_in_parent(frame), upright_of(frame)))
+    placed, upright = (np.array(matrix, np.float64) for matrix in (_find_in_parent(frame), upright_of(frame)))
     away = np.abs(placed - upright)
     scale = np.abs(upright[:3, :3]).max()
     reach = max(np.abs(upright[:3, 3]).max(), scale)
@@ -51,9 +51,9 @@ def placement_of(frame: SceneFrame) -> Matrix | None:
     return Matrix(placed.tolist()) @ Matrix(upright.tolist()).inverted()
 
 
-def shown_placement(bpy_scene: bpy.types.Scene) -> Matrix | None:
-    """`placement_of` the root of this Blender scene; None without a root."""
-    root = owned_object(bpy_scene, "root")
+def read_placement(bpy_scene: bpy.types.Scene) -> Matrix | None:
+    """Return `placement_of` the root of this Blender scene; None without a root."""
+    root = find_owned_object(bpy_scene, "root")
     if root is None or placement_of(SceneFrame(root, Matrix())) is None:  # the usual case, which a panel needs often
         return None
     frame = root_frame(bpy_scene)
@@ -70,8 +70,9 @@ def place_root(frame: SceneFrame, upright: Matrix, placement: Matrix | None) -> 
     root[UPRIGHT] = numbers
 
 
-def without_tilt(placement: Matrix | None) -> Matrix | None:
-    """A placement that leaves the ground level and at its height: its position on the ground, heading and scale."""
+def remove_tilt(placement: Matrix | None) -> Matrix | None:
+    """Return a placement that leaves the ground level and at its height: its position on the ground, heading and
+    scale."""
     if placement is None:
         return None
     place, turned, scale = placement.decompose()
@@ -93,6 +94,6 @@ def placement_text(placement: Matrix) -> str:
     return ", ".join(parts) or "moved"
 
 
-def _in_parent(frame: SceneFrame) -> Matrix:
-    """(4, 4) from the scene frame to that of the root's parent, or to the world without one."""
+def _find_in_parent(frame: SceneFrame) -> Matrix:
+    """Return the transform (4, 4) from the scene frame to that of the root's parent, or to the world without one."""
     return frame.root.matrix_basis @ frame.in_root

@@ -17,7 +17,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..engine.errors import SceneError
-from .blender_data import owned_object, owned_objects
+from .blender_data import find_owned_object, find_owned_objects
 
 POSE = "scene_pose"
 """Custom property of a photo's camera and of a fruit: the matrix in the scene frame as it was written, 16 numbers in
@@ -38,7 +38,7 @@ class SceneFrame:
     @property
     def to_world(self) -> Matrix:
         """(4, 4) from the scene frame to the world, as it was set, evaluated or not."""
-        return in_world(self.root) @ self.in_root
+        return find_world_matrix(self.root) @ self.in_root
 
     @property
     def world_scale(self) -> float:
@@ -51,7 +51,7 @@ class SceneFrame:
         Raises:
             SceneError: the root is scaled to 0.
         """
-        return _inverse(self.to_world)
+        return _invert(self.to_world)
 
     def of(self, item: bpy.types.Object) -> Matrix:
         """(4, 4) an object's transform in the scene frame, as it was set, evaluated or not.
@@ -60,9 +60,9 @@ class SceneFrame:
             SceneError: the root is scaled to 0, and the object is not its child.
         """
         if item.parent != self.root:
-            return self.from_world() @ in_world(item)
+            return self.from_world() @ find_world_matrix(item)
         below = item.matrix_parent_inverse @ item.matrix_basis
-        return below if self.in_root == Matrix() else _inverse(self.in_root) @ below
+        return below if self.in_root == Matrix() else _invert(self.in_root) @ below
 
 
 def scene_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
@@ -71,20 +71,20 @@ def scene_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
     Raises:
         SceneError: it has no root, or its objects do not agree on a frame.
     """
-    root = owned_object(bpy_scene, "root")
+    root = find_owned_object(bpy_scene, "root")
     if root is None:
         raise SceneError("The scene's root empty was deleted. Undo that, or import or count again")
-    return SceneFrame(root, _frame_in_root(bpy_scene, root))
+    return SceneFrame(root, _find_frame_in_root(bpy_scene, root))
 
 
-def in_world(item: bpy.types.Object) -> Matrix:
-    """(4, 4) an object's transform in the world, as it was set; the evaluated one where constraints, bones or the like
-    decide."""
+def find_world_matrix(item: bpy.types.Object) -> Matrix:
+    """Return an object's transform (4, 4) in the world, as it was set; the evaluated one where constraints, bones or
+    the like decide."""
     if len(item.constraints) or (item.parent is not None and item.parent_type != "OBJECT"):
         return item.matrix_world.copy()
     if item.parent is None:
         return item.matrix_basis.copy()
-    return in_world(item.parent) @ item.matrix_parent_inverse @ item.matrix_basis
+    return find_world_matrix(item.parent) @ item.matrix_parent_inverse @ item.matrix_basis
 
 
 def keep_pose(item: bpy.types.Object) -> None:
@@ -92,12 +92,12 @@ def keep_pose(item: bpy.types.Object) -> None:
     item[POSE] = [value for row in item.matrix_basis for value in row]
 
 
-def stored_pose(item: bpy.types.Object) -> NDArray[np.float64] | None:
-    """(4, 4) what `keep_pose` stored; None for a file of an earlier version."""
+def read_stored_pose(item: bpy.types.Object) -> NDArray[np.float64] | None:
+    """Read the pose (4, 4) that `keep_pose` stored; None for a file of an earlier version."""
     return np.array(item[POSE], np.float64).reshape(4, 4) if POSE in item else None
 
 
-def _inverse(matrix: Matrix) -> Matrix:
+def _invert(matrix: Matrix) -> Matrix:
     try:
         return matrix.inverted()
     except ValueError as error:
@@ -106,33 +106,33 @@ def _inverse(matrix: Matrix) -> Matrix:
         ) from error
 
 
-def _frame_in_root(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> Matrix:
-    """(4, 4) from the scene frame to the root's, which more than half of the cameras, Gaussians and points agree on;
-    without any, of the fruit."""
-    items, poses = _anchors(bpy_scene)
+def _find_frame_in_root(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> Matrix:
+    """Find the transform (4, 4) from the scene frame to the root's, which more than half of the cameras, Gaussians and
+    points agree on; without any, of the fruit."""
+    items, poses = _find_anchors(bpy_scene)
     if not items:
         return Matrix()
-    places = np.array([_below(item, root) for item in items], np.float64)
-    if 2 * _agreeing(np.eye(4), poses, places) >= len(items):
+    places = np.array([_find_in_root(item, root) for item in items], np.float64)
+    if 2 * _count_agreeing(np.eye(4), poses, places) >= len(items):
         return Matrix()
     for pose, place in zip(poses, places, strict=True):
         if abs(np.linalg.det(pose)) > 0.0:
             frame = place @ np.linalg.inv(pose)
-            if abs(np.linalg.det(frame)) > 0.0 and 2 * _agreeing(frame, poses, places) > len(items):
+            if abs(np.linalg.det(frame)) > 0.0 and 2 * _count_agreeing(frame, poses, places) > len(items):
                 return Matrix(frame.tolist())
     raise SceneError(f"The cameras, Gaussians and fruit do not fit together, so sizes are unknown. {REMEDY}")
 
 
-def _anchors(bpy_scene: bpy.types.Scene) -> tuple[list[bpy.types.Object], NDArray[np.float64]]:
-    """The objects that say where the scene frame is, and their poses in it, (A, 4, 4).
+def _find_anchors(bpy_scene: bpy.types.Scene) -> tuple[list[bpy.types.Object], NDArray[np.float64]]:
+    """Find the objects that say where the scene frame is, and their poses in it, (A, 4, 4).
 
     Gaussians and points are written at its origin.
     """
-    items = [item for role in ("gaussians", "points") for item in owned_objects(bpy_scene, role)]
+    items = [item for role in ("gaussians", "points") for item in find_owned_objects(bpy_scene, role)]
     poses: list[NDArray[np.float64]] = [np.eye(4) for _ in items]
-    _add_stored(owned_objects(bpy_scene, "camera"), items, poses)
+    _add_stored(find_owned_objects(bpy_scene, "camera"), items, poses)
     if not items:
-        _add_stored(owned_objects(bpy_scene, "fruit"), items, poses)
+        _add_stored(find_owned_objects(bpy_scene, "fruit"), items, poses)
     return items, np.array(poses).reshape(-1, 4, 4)
 
 
@@ -140,22 +140,22 @@ def _add_stored(
     found: Sequence[bpy.types.Object], items: list[bpy.types.Object], poses: list[NDArray[np.float64]]
 ) -> None:
     for item in found:
-        pose = stored_pose(item)
+        pose = read_stored_pose(item)
         if pose is not None:
             items.append(item)
             poses.append(pose)
 
 
-def _below(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:
-    """(4, 4) an object's transform in the root's frame."""
+def _find_in_root(item: bpy.types.Object, root: bpy.types.Object) -> Matrix:
+    """Return an object's transform (4, 4) in the root's frame."""
     if item.parent == root:
         return item.matrix_parent_inverse @ item.matrix_basis
-    return _inverse(in_world(root)) @ in_world(item)
+    return _invert(find_world_matrix(root)) @ find_world_matrix(item)
 
 
-def _agreeing(frame: NDArray[np.float64], poses: NDArray[np.float64], places: NDArray[np.float64]) -> int:
-    """How many objects with these poses (A, 4, 4) in the scene frame stand at these places (A, 4, 4) if the scene frame
-    lies at `frame` (4, 4)."""
+def _count_agreeing(frame: NDArray[np.float64], poses: NDArray[np.float64], places: NDArray[np.float64]) -> int:
+    """Count the objects with these poses (A, 4, 4) in the scene frame that stand at these places (A, 4, 4) if the scene
+    frame lies at `frame` (4, 4)."""
     expected = frame @ poses
     moved = np.linalg.norm(expected[:, :3, 3] - places[:, :3, 3], axis=1)
     turned = np.abs(expected[:, :3, :3] - places[:, :3, :3]).max(axis=(1, 2))

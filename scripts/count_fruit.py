@@ -77,9 +77,9 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
         return {}
     try:
         from fruitlangs.operators.data.write import write_blend
-        from fruitlangs.operators.data.write_gaussians import asked_words
+        from fruitlangs.operators.data.write_gaussians import join_asked_words
         from fruitlangs.operators.settings.panel_state import panel_state
-        from fruitlangs.operators.settings.settings import relative_path
+        from fruitlangs.operators.settings.settings import make_relative_path
     except ImportError as error:
         print(
             f"scene.blend is not written: bpy cannot be imported ({error}). Run: pip install bpy",
@@ -94,11 +94,11 @@ def blend_writer(wanted: bool) -> dict[str, Writer]:
             result.gaussians,
             result.probability,
             result.fruit_count,
-            asked=asked_words(result.origin["prompts"], result.origin["negatives"]),
+            asked=join_asked_words(result.origin["prompts"], result.origin["negatives"]),
             set_id=result.set_id,
             threshold=result.config.count.threshold,
             folder=result.out,
-            panel=panel_state(result, partial(relative_path, folder=result.out.absolute())),
+            panel=panel_state(result, partial(make_relative_path, folder=result.out.absolute())),
         )
 
     return {"scene.blend": write}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...operators.blender_data import owned_object
+from ...operators.blender_data import find_owned_object
 from .panel_parts import SidebarPanel, draw_splat_problem
 from .step_ask import FRUITLANGS_PT_ask
 
@@ -17,7 +17,7 @@ class FRUITLANGS_PT_look(SidebarPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene is not None and owned_object(context.scene, "gaussians") is not None
+        return context.scene is not None and find_owned_object(context.scene, "gaussians") is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.fruitlangs

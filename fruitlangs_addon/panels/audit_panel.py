@@ -10,7 +10,7 @@ import bpy
 from ...engine.report.words import audit_reason, place
 from ...operators.blender_data import OWNER
 from ...operators.data.fruit_objects import is_made, metres_per_unit
-from ...operators.data.stored_audit import about_fruit, read_audit
+from ...operators.data.stored_audit import read_audit, select_about_fruit
 from ...operators.review.show_cluster import FRUITLANGS_OT_look_at_cluster
 from .panel_parts import SidebarPanel, draw_text
 
@@ -62,7 +62,7 @@ def texts_of_active(item: Any, audit: Sequence[AuditEntry], metres_per_unit: flo
         return ["Select a fruit to see why it was counted"]
     if is_made(item):
         return [f"{item.name} was added by the user"]
-    return [_entry_text(entry, metres_per_unit) for entry in about_fruit(audit, int(item.get("id", 0)))] or [
+    return [_entry_text(entry, metres_per_unit) for entry in select_about_fruit(audit, int(item.get("id", 0)))] or [
         f"The audit has no entry for {item.name}"
     ]
 

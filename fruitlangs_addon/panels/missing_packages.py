@@ -10,7 +10,7 @@ from ...operators.packages.dependencies import (
     FRUITLANGS_OT_confirm_install,
     FRUITLANGS_OT_copy_install_command,
     FRUITLANGS_OT_install_dependencies,
-    missing_packages,
+    find_missing_packages,
 )
 from .panel_parts import draw_job, draw_text
 
@@ -18,7 +18,7 @@ from .panel_parts import draw_job, draw_text
 def draw_missing_packages(layout: Any, context: bpy.types.Context) -> bool:
     """Draw the missing packages with the ways to get them, or the progress of their installation; False if none is
     missing."""
-    missing = missing_packages()
+    missing = find_missing_packages()
     if not missing:
         return False
     box = layout.box()

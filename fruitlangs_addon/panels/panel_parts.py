@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import bpy
 
-from ...operators.drawing.splat_drawing import problem
-from ...operators.jobs.jobs import FRUITLANGS_OT_cancel, Job, running
+from ...operators.drawing.splat_drawing import explain_problem
+from ...operators.jobs.jobs import FRUITLANGS_OT_cancel, Job, find_running_job
 from .steps import ICONS, Name, step_of
 
 
@@ -33,7 +33,7 @@ class StepPanel(SidebarPanel):
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         sentence = step_of(self.step, context.scene).sentence
-        if sentence and running() is None:
+        if sentence and find_running_job() is None:
             draw_text(self.layout, sentence, context, icon="INFO")
         return self.layout
 
@@ -41,7 +41,7 @@ class StepPanel(SidebarPanel):
 def draw_job(layout: Any, title: str, context: bpy.types.Context) -> bool:
     """Draw the progress of the job with that title and its Cancel button; False if it does not run, then also with the
     last error."""
-    job: Job | None = running()
+    job: Job | None = find_running_job()
     if job is None or job.title != title:
         settings = context.scene.fruitlangs
         if settings.error and settings.failed == title:
@@ -66,11 +66,13 @@ def draw_text(layout: Any, text: str, context: bpy.types.Context, icon: str = "N
 
 def draw_splat_problem(layout: Any, context: bpy.types.Context) -> None:
     """Draw why splats cannot be drawn and what can be shown instead; nothing if they can."""
-    if not problem():
+    if not explain_problem():
         return
     box, look = layout.box(), context.scene.fruitlangs.look
     box.alert = True
-    draw_text(box, f"Splats cannot be drawn here ({problem()}). Change Show to try again", context, icon="ERROR")
+    draw_text(
+        box, f"Splats cannot be drawn here ({explain_problem()}). Change Show to try again", context, icon="ERROR"
+    )
     if look.style == "SPLATS":
         box.prop_enum(look, "style", "ELLIPSOIDS")
 

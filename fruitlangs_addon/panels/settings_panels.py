@@ -10,7 +10,7 @@ import bpy
 
 from ...engine.config import STAGES
 from ...engine.setting import LEVELS, Level, level_of
-from ...operators.jobs.jobs import running
+from ...operators.jobs.jobs import find_running_job
 from .panel_parts import SidebarPanel, draw_settings
 
 HEADINGS = {"scene": "Photos", "photos": "Camera Search", "embed": "Features", "count": "Counting", "units": "Scale"}
@@ -39,7 +39,7 @@ def _panel(parent: type, level: Level, names: dict[str, list[str]]) -> type:
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.enabled = running() is None
+        layout.enabled = find_running_job() is None
         shown = {stage: settings for stage, settings in names.items() if settings}
         for stage, settings in shown.items():
             if len(shown) > 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...operators.jobs.jobs import running
+from ...operators.jobs.jobs import find_running_job
 from ...operators.steps.ask import FRUITLANGS_OT_ask
 from .panel_parts import StepPanel, draw_text
 from .settings_panels import settings_panels
@@ -19,7 +19,7 @@ class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.body(context), context.scene.fruitlangs
         column = layout.column()
-        column.enabled = running() is None
+        column.enabled = find_running_job() is None
         column.prop(settings, "prompt")
         column.prop(settings, "negative")
         column.prop(settings.config.count, "threshold", slider=True)

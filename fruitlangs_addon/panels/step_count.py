@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ...operators.data.read_gaussians import deleted_gaussians
+from ...operators.data.read_gaussians import count_deleted_gaussians
 from ...operators.steps.count import FRUITLANGS_OT_count
 from ...operators.steps.show_result import size_text
 from .panel_parts import StepPanel, draw_job, draw_text
@@ -23,7 +23,7 @@ class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.body(context), context.scene.fruitlangs
-        deleted = deleted_gaussians(context.scene)
+        deleted = count_deleted_gaussians(context.scene)
         if deleted:
             draw_text(layout, DELETED.format(deleted), context, icon="INFO")
         if not draw_job(layout, FRUITLANGS_OT_count.title, context):

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ...operators.data.read_fruits import counted
+from ...operators.data.read_fruits import has_count
 from ...operators.data.stored_review import review_line
 from ...operators.export.export import NAMES, FRUITLANGS_OT_export_csv
 from ...operators.export.export_file import TITLE
@@ -32,7 +32,7 @@ class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
         layout = self.body(context)
         if draw_job(layout, TITLE, context):
             return
-        if counted(context.scene):
+        if has_count(context.scene):
             draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
         for item, icon in ICONS.items():
             layout.operator(item.bl_idname, text=NAMES[item], icon=icon)

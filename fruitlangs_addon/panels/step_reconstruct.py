@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ...operators.jobs.jobs import running
-from ...operators.steps.device import trains_on
+from ...operators.jobs.jobs import find_running_job
+from ...operators.steps.device import describe_device
 from ...operators.steps.reconstruct import FRUITLANGS_OT_reconstruct
 from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text
 from .settings_panels import settings_panels
@@ -23,13 +23,13 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.body(context), context.scene.fruitlangs
         column = layout.column()
-        column.enabled = running() is None
+        column.enabled = find_running_job() is None
         column.prop(settings, "gaussians")
         if not settings.gaussians:
             column.prop(settings, "preset")
             column.prop(settings.config.scene, "downscale")
             draw_settings(column, settings.config.train, MAIN)
-            draw_text(layout, trains_on(settings.config.train.device), context)
+            draw_text(layout, describe_device(settings.config.train.device), context)
         column.prop(settings, "out")
         if not draw_job(layout, FRUITLANGS_OT_reconstruct.title, context):
             layout.operator(FRUITLANGS_OT_reconstruct.bl_idname, icon="OUTLINER_OB_POINTCLOUD")

@@ -6,9 +6,9 @@ from typing import Any
 
 import bpy
 
-from ...operators.data.fruit_objects import diameter_head, fruit_collection, metres_per_unit, usual_diameter
-from ...operators.data.missing_fruit import missing_text, rejected_text
-from ...operators.data.read_fruits import counted
+from ...operators.data.fruit_objects import diameter_head, find_usual_diameter, fruit_collection, metres_per_unit
+from ...operators.data.missing_fruit import describe_missing, describe_rejected
+from ...operators.data.read_fruits import has_count
 from ...operators.data.stored_review import entry_text, review_line
 from ...operators.review.missing import FRUITLANGS_OT_reject_missing, FRUITLANGS_OT_restore_fruit
 from ...operators.review.review import (
@@ -38,7 +38,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, review = self.body(context), context.scene.fruitlangs.review
-        if not counted(context.scene):
+        if not has_count(context.scene):
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")
         draw_missing(layout, context)
@@ -50,7 +50,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator(FRUITLANGS_OT_merge_fruit.bl_idname, icon="AUTOMERGE_ON")
         row.operator(FRUITLANGS_OT_add_fruit.bl_idname, icon="ADD")
-        if not usual_diameter(context.scene):
+        if not find_usual_diameter(context.scene):
             metric = metres_per_unit(context.scene) is not None
             layout.prop(review, "diameter_mm" if metric else "diameter", text=diameter_head(metric))
         row = layout.row(align=True)
@@ -64,8 +64,8 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
 
 def draw_missing(layout: Any, context: bpy.types.Context) -> None:
     """Draw what to do about many fruit that were deleted, unlinked or rejected; nothing otherwise."""
-    missing = missing_text(context.scene)
-    text = missing or rejected_text(context.scene)
+    missing = describe_missing(context.scene)
+    text = missing or describe_rejected(context.scene)
     if not text:
         return
     box = layout.box()

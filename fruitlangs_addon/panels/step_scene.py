@@ -7,9 +7,9 @@ from typing import Any
 import bpy
 
 from ...engine.scene.video.frames import VIDEO_SUFFIXES
-from ...operators.blender_data import owned_object
-from ...operators.jobs.jobs import running
-from ...operators.root_placement import placement_text, shown_placement
+from ...operators.blender_data import find_owned_object
+from ...operators.jobs.jobs import find_running_job
+from ...operators.root_placement import placement_text, read_placement
 from ...operators.settings.region import FRUITLANGS_OT_add_region, FRUITLANGS_OT_remove_region
 from ...operators.settings.settings import is_on_another_drive
 from ...operators.steps.check_photos import FRUITLANGS_OT_check_photos, FRUITLANGS_OT_show_sheet
@@ -35,7 +35,7 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
         layout, settings = self.body(context), context.scene.fruitlangs
         draw_missing_packages(layout, context)
         column = layout.column()
-        column.enabled = running() is None
+        column.enabled = find_running_job() is None
         column.prop(settings, "source")
         if settings.source.lower().endswith(VIDEOS):
             column.label(text="Video: Import Scene chooses stills", icon="FILE_MOVIE")
@@ -74,7 +74,7 @@ def draw_tools(layout: Any, context: bpy.types.Context) -> None:
     column = layout.column(align=True)
     column.operator(FRUITLANGS_OT_measure.bl_idname, icon="DRIVER_DISTANCE")
     column.operator(FRUITLANGS_OT_set_ground.bl_idname, icon="GRID")
-    if owned_object(context.scene, "region") is None:
+    if find_owned_object(context.scene, "region") is None:
         column.operator(FRUITLANGS_OT_add_region.bl_idname, icon="CUBE")
     else:
         column.operator(FRUITLANGS_OT_remove_region.bl_idname, icon="X")
@@ -83,7 +83,7 @@ def draw_tools(layout: Any, context: bpy.types.Context) -> None:
 
 def draw_placement(layout: Any, context: bpy.types.Context) -> None:
     """Draw how the user moved the tree, and the button that puts it back."""
-    placement = shown_placement(context.scene)
+    placement = read_placement(context.scene)
     if placement is not None:
         draw_text(layout, f"Placed by you: {placement_text(placement)}. Sizes and exports do not change", context)
         layout.operator(FRUITLANGS_OT_reset_placement.bl_idname, icon="LOOP_BACK")

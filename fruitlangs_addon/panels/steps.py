@@ -10,10 +10,10 @@ from typing import Literal
 
 import bpy
 
-from ...operators.blender_data import owned_object, owned_objects
-from ...operators.data.fruit_objects import REVIEW, standing
-from ...operators.data.missing_fruit import missing_text
-from ...operators.data.read_fruits import counted
+from ...operators.blender_data import find_owned_object, find_owned_objects
+from ...operators.data.fruit_objects import REVIEW, list_counted_fruit
+from ...operators.data.missing_fruit import describe_missing
+from ...operators.data.read_fruits import has_count
 from ...operators.export.export_file import TITLE
 from ...operators.steps.count import FRUITLANGS_OT_count
 from ...operators.steps.import_scene import FRUITLANGS_OT_import_scene
@@ -77,7 +77,7 @@ def _scene(bpy_scene: bpy.types.Scene) -> Check:
 
 
 def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
-    if owned_object(bpy_scene, "gaussians") is not None:
+    if find_owned_object(bpy_scene, "gaussians") is not None:
         return Check(True, True)
     settings = bpy_scene.fruitlangs
     if not settings.source:
@@ -88,7 +88,7 @@ def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
 def _ask(bpy_scene: bpy.types.Scene) -> Check:
     if bpy_scene.fruitlangs.answer.text:
         return Check(True, True)
-    if owned_object(bpy_scene, "gaussians") is None:
+    if find_owned_object(bpy_scene, "gaussians") is None:
         return Check(False, False, "Reconstruct in step 2 first")
     return Check(False, True, "Enter what to count")
 
@@ -101,18 +101,18 @@ def _count(bpy_scene: bpy.types.Scene) -> Check:
         return Check(False, False, CHOOSE)
     if not settings.prompt.strip(" ,"):
         return Check(False, False, "Enter a prompt in step 3 first")
-    if owned_object(bpy_scene, "gaussians") is None:
+    if find_owned_object(bpy_scene, "gaussians") is None:
         return Check(False, True, "Count Fruit also runs the steps that are missing")
     return Check(False, True, "Press Count Fruit")
 
 
 def _review(bpy_scene: bpy.types.Scene) -> Check:
-    if not counted(bpy_scene):
+    if not has_count(bpy_scene):
         return Check(False, False, "Count first, then review each fruit here")
-    missing = missing_text(bpy_scene)
+    missing = describe_missing(bpy_scene)
     if missing:
         return Check(False, True, f"{missing}. Restore or reject them")
-    fruit, bound = owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
+    fruit, bound = find_owned_objects(bpy_scene, "fruit"), bpy_scene.fruitlangs.review.doubt
     if not fruit:
         return Check(True, True, "No fruit to review. Use Add for fruit that were missed")
     uncertain = [item for item in fruit if item.get("probability", 1.0) < bound]
@@ -126,13 +126,13 @@ def _review(bpy_scene: bpy.types.Scene) -> Check:
 
 
 def _export(bpy_scene: bpy.types.Scene) -> Check:
-    if not counted(bpy_scene):
+    if not has_count(bpy_scene):
         return Check(False, False, "Count first, then export here")
-    missing = missing_text(bpy_scene)
+    missing = describe_missing(bpy_scene)
     if missing:
         return Check(False, False, f"{missing}. Restore or reject them in step 5")
     written = bpy_scene.fruitlangs.result.exported
-    stands = f"Writes the {len(standing(bpy_scene))} fruit of the reviewed count"
+    stands = f"Writes the {len(list_counted_fruit(bpy_scene))} fruit of the reviewed count"
     if written:
         return Check(True, True, f"{stands}. Last file: {PurePath(written).name}")
     return Check(False, True, stands)

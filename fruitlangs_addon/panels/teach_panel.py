@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ...operators.jobs.jobs import running
+from ...operators.jobs.jobs import find_running_job
 from ...operators.steps.teach import (
     FRUITLANGS_OT_add_examples,
     FRUITLANGS_OT_add_reviewed,
@@ -48,7 +48,7 @@ class FRUITLANGS_PT_teach(SidebarPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column()
-        column.enabled = running() is None
+        column.enabled = find_running_job() is None
         column.prop(teach, "word")
         if not teach.word.strip():
             return

@@ -15,14 +15,14 @@ from mathutils import Vector
 
 from ...engine.errors import ConfigError, FruitLangsError
 from ...engine.progress import part
-from ..blender_data import owned_object, owned_objects, select_only
+from ..blender_data import find_owned_object, find_owned_objects, select_only
 from ..data.fruit_objects import REVIEW, fruit_frame, metres_per_unit, read_log, write_log
 from ..data.read_fruits import read_fruit
 from ..data.stored_review import is_reviewed, keep_corrections
 from ..data.write import SET_ID
-from ..jobs.jobs import JobOperator, Work, being_edited, busy, describe_error, linked, start
-from ..settings.settings import known_path, stored_path
-from ..viewport.viewport import look_at_point, show_colors, shown_screens
+from ..jobs.jobs import JobOperator, Work, describe_error, is_being_edited, is_busy, is_linked, start
+from ..settings.settings import format_stored_path, resolve_known_path
+from ..viewport.viewport import find_screens, look_at_point, show_colors
 from .overview import ShownResult, read_overview
 from .write_overview import TREE, color_fruit, write_overview
 
@@ -40,7 +40,7 @@ def block_folder(bpy_scene: bpy.types.Scene) -> Path:
     Raises:
         ConfigError: none is.
     """
-    folder = known_path(bpy_scene.fruitlangs.block.folder)
+    folder = resolve_known_path(bpy_scene.fruitlangs.block.folder)
     if folder is None:
         raise ConfigError("Choose the folder that count_orchard.py wrote (its --out)")
     return folder
@@ -59,7 +59,9 @@ class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not (busy(cls) or linked(cls, context) or being_edited(cls, context)) and context.scene is not None
+        return (
+            not (is_busy(cls) or is_linked(cls, context) or is_being_edited(cls, context)) and context.scene is not None
+        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not bpy.app.background and not self.directory and not context.scene.fruitlangs.block.folder:
@@ -68,7 +70,7 @@ class FRUITLANGS_OT_open_block(JobOperator, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> Work:
         if self.directory:
-            context.scene.fruitlangs.block.folder = stored_path(Path(bpy.path.abspath(self.directory)))
+            context.scene.fruitlangs.block.folder = format_stored_path(Path(bpy.path.abspath(self.directory)))
         folder = block_folder(context.scene)
         return lambda progress: read_block(folder, progress)
 
@@ -92,7 +94,7 @@ class FRUITLANGS_OT_open_tree(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or context.scene is None:
+        if is_busy(cls) or context.scene is None:
             return False
         block = context.scene.fruitlangs.block
         if not 0 <= block.active < len(block.trees):
@@ -115,7 +117,7 @@ class FRUITLANGS_OT_open_tree(bpy.types.Operator):
         _enter(context, bpy_scene)
         if is_current:
             return {"FINISHED"}
-        bpy_scene.fruitlangs.source = stored_path(result)
+        bpy_scene.fruitlangs.source = format_stored_path(result)
         with context.temp_override(scene=bpy_scene, view_layer=bpy_scene.view_layers[0]):
             answer = start(self, "import_scene")
         if "CANCELLED" in answer:
@@ -149,7 +151,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or context.scene is None or being_edited(cls, context):
+        if is_busy(cls) or context.scene is None or is_being_edited(cls, context):
             return False
         if not context.scene.fruitlangs.block.trees:
             cls.poll_message_set("Press Open Orchard first")
@@ -161,7 +163,7 @@ class FRUITLANGS_OT_update_block(JobOperator, bpy.types.Operator):
         reviews = {}
         for bpy_scene in bpy.data.scenes:
             own = _tree_of(bpy_scene, context.scene)
-            if own is None or SET_ID not in bpy_scene or owned_object(bpy_scene, "root") is None:
+            if own is None or SET_ID not in bpy_scene or find_owned_object(bpy_scene, "root") is None:
                 continue  # its result was not shown, or was removed
             try:
                 keep_corrections(bpy_scene)
@@ -238,7 +240,7 @@ def read_review_of(bpy_scene: bpy.types.Scene) -> Review:
     no_gaussians = np.zeros(0, np.int32)
     frame, unit = fruit_frame(bpy_scene), metres_per_unit(bpy_scene) or 1.0
     fruits = []
-    for item in owned_objects(bpy_scene, "fruit"):
+    for item in find_owned_objects(bpy_scene, "fruit"):
         fruit = read_fruit(item, frame, int(item.get("id", 0)), no_gaussians, unit)
         fruits.append(
             ReviewedFruit(
@@ -318,7 +320,7 @@ def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: 
             entry.counted, entry.reviewed = tree.counted, tree.reviewed
     names = [tree.name for tree in block.trees]
     block["active"] = names.index(active) if active in names else 0
-    screens = shown_screens(context, bpy_scene)
+    screens = find_screens(context, bpy_scene)
     show_colors(screens, splats=False)
     corners = [Vector((*result.place, 0.0)) for result in results]
     middle = sum(corners, Vector((0.0, 0.0, 0.0))) / max(len(corners), 1)
@@ -327,15 +329,15 @@ def show_block(context: bpy.types.Context, bpy_scene: bpy.types.Scene, results: 
     look_at_point(screens, middle + Vector((0.0, 0.0, 0.5 * width)), 1.7 * reach)
 
 
-def tree_chosen(block: Any, context: bpy.types.Context) -> None:
+def select_chosen_tree(block: Any, context: bpy.types.Context) -> None:
     """Called when a tree was chosen in the list: select its fruit."""
     if bpy.context.mode != "OBJECT" or not 0 <= block.active < len(block.trees):
         return
     name = block.trees[block.active].name
-    select_only(context, [item for item in owned_objects(context.scene, "block-fruit") if item.get(TREE) == name])
+    select_only(context, [item for item in find_owned_objects(context.scene, "block-fruit") if item.get(TREE) == name])
 
 
-def colors_chosen(block: Any, context: bpy.types.Context) -> None:
+def apply_chosen_colors(block: Any, context: bpy.types.Context) -> None:
     """Called when the colours of the fruit were chosen."""
     color_fruit(block.id_data, block.colors)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ...engine.progress import Progress, silent
-from ..data.write_root import looked_at, upright_matrix
+from ..data.write_root import compute_upright_matrix, find_focus
 
 if TYPE_CHECKING:
     from ...engine.block.ledger import Ledger
@@ -75,8 +75,8 @@ def read_overview(ledger: Ledger, trees: Sequence[CountedTree], progress: Progre
         try:
             found.append(_read(ledger.folder(folder).path, its, most))
         except FruitLangsError as error:
-            found.append(ShownResult(folder=folder, trees=[_uncounted(tree, str(error)) for tree in its]))
-    return [replace(each, place=place) for each, place in zip(found, _places(found, own), strict=True)]
+            found.append(ShownResult(folder=folder, trees=[_make_uncounted(tree, str(error)) for tree in its]))
+    return [replace(each, place=place) for each, place in zip(found, _find_places(found, own), strict=True)]
 
 
 def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
@@ -91,27 +91,28 @@ def _read(path: Path, trees: Sequence[CountedTree], most: int) -> ShownResult:
     from ...engine.training import CAMERAS, GAUSSIANS
 
     if trees[0].count is None:
-        return ShownResult(folder=path.name, trees=[_uncounted(tree) for tree in trees])
+        return ShownResult(folder=path.name, trees=[_make_uncounted(tree) for tree in trees])
     document = parse_results(path / FRUITS_JSON)
     unit = document["metres_per_unit"] or 1.0
     fruits = [fruit for fruit in fruit_of(document, read_review(path, document["set_id"])) if fruit.counts]
     numbers = [tree["number"] for tree in document.get("trees") or []] or [None]
     shown = [
-        _tree(tree, [fruit for fruit in fruits if number is None or fruit.tree == number], unit)
+        _make_tree(tree, [fruit for fruit in fruits if number is None or fruit.tree == number], unit)
         for tree, number in zip(trees, numbers, strict=True)
     ]
     scene = replace(read_cameras(path / CAMERAS), metres_per_unit=document["metres_per_unit"])
     centers = np.concatenate([tree.centers for tree in shown])
-    points, colors = _some(scene, read_ply(path / GAUSSIANS), centers, most)
-    matrix = np.diag([unit, unit, unit, 1.0]) @ upright_matrix(replace(scene, points=points))
-    matrix = _along_x(matrix, [tree.centers.mean(axis=0) for tree in shown if len(tree.centers)]) @ matrix
+    points, colors = _sample_gaussians(scene, read_ply(path / GAUSSIANS), centers, most)
+    matrix = np.diag([unit, unit, unit, 1.0]) @ compute_upright_matrix(replace(scene, points=points))
+    matrix = _align_along_x(matrix, [tree.centers.mean(axis=0) for tree in shown if len(tree.centers)]) @ matrix
     world = (centers if len(centers) else points) @ matrix[:3, :3].T
     width = float(np.ptp(world[:, :2], axis=0).max()) if len(world) else 0.0
     return ShownResult(folder=path.name, trees=shown, matrix=matrix, points=points, colors=colors, width=width)
 
 
-def _along_x(matrix: FloatArray, trees: Sequence[FloatArray]) -> FloatArray:
-    """(4, 4) the turn about z after which trees of a row, at (3,) in its frame, follow each other along x."""
+def _align_along_x(matrix: FloatArray, trees: Sequence[FloatArray]) -> FloatArray:
+    """Return the rotation (4, 4) about z after which trees of a row, at (3,) in its frame, follow each other along
+    x."""
     turn = np.eye(4)
     if len(trees) > 1:
         x, y = (matrix[:3, :3] @ (trees[-1] - trees[0]))[:2]
@@ -119,11 +120,11 @@ def _along_x(matrix: FloatArray, trees: Sequence[FloatArray]) -> FloatArray:
     return turn
 
 
-def _uncounted(tree: CountedTree, problem: str = "") -> ShownTree:
+def _make_uncounted(tree: CountedTree, problem: str = "") -> ShownTree:
     return ShownTree(name=tree.entry.id, problem=problem or tree.state.reason or tree.state.stage)
 
 
-def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> ShownTree:
+def _make_tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> ShownTree:
     assert tree.counted is not None
     return ShownTree(
         name=tree.entry.id,
@@ -136,9 +137,11 @@ def _tree(tree: CountedTree, fruits: Sequence[ReviewedFruit], unit: float) -> Sh
     )
 
 
-def _some(scene: Scene, gaussians: Gaussians, fruit: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
-    """(P, 3) means and (P, 3) sRGB of Gaussians around the fruit (F, 3), or around what the cameras look at without
-    any: a random choice, the same each time, in which large ones are likelier."""
+def _sample_gaussians(
+    scene: Scene, gaussians: Gaussians, fruit: FloatArray, most: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the means (P, 3) and sRGB (P, 3) of Gaussians around the fruit (F, 3), or around what the cameras look at
+    without any: a random choice, the same each time, in which large ones are likelier."""
     means = gaussians.means.double().numpy()
     chance = gaussians.opacities.double().numpy() * gaussians.scales.double().numpy().max(axis=1)
     if len(fruit) > 1:
@@ -146,7 +149,7 @@ def _some(scene: Scene, gaussians: Gaussians, fruit: FloatArray, most: int) -> t
         margin = AROUND * float(np.median(high - low))
         chance[((means < low - margin) | (means > high + margin)).any(axis=1)] = 0.0
     else:
-        chance[np.linalg.norm(means - looked_at(scene), axis=1) > NEAR * scene.extent] = 0.0
+        chance[np.linalg.norm(means - find_focus(scene), axis=1) > NEAR * scene.extent] = 0.0
     there = np.flatnonzero(chance > 0.0)
     if len(there) > most:
         share = chance[there] / chance[there].sum()
@@ -154,9 +157,9 @@ def _some(scene: Scene, gaussians: Gaussians, fruit: FloatArray, most: int) -> t
     return means[there], gaussians.base_colors.double().numpy()[there]
 
 
-def _places(results: Sequence[ShownResult], own: dict[str, list[CountedTree]]) -> list[FloatArray]:
-    """(2,) in the world of each result: by GPS, else by row and position, if lengths are metres and all are known; else
-    row by row, side by side."""
+def _find_places(results: Sequence[ShownResult], own: dict[str, list[CountedTree]]) -> list[FloatArray]:
+    """Find the place (2,) in the world of each result: by GPS, else by row and position, if lengths are metres and all
+    are known; else row by row, side by side."""
     from ...engine.scene.gps import GpsTag, local_metres
 
     entries = [[tree.entry for tree in own[each.folder]] for each in results]

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from ..blender_data import (
     OWNER,
     Role,
+    ensure_owned_collection,
+    find_owned_objects,
     linear_from_srgb,
-    new_object,
-    owned_collection,
-    owned_objects,
+    make_object,
     remove_objects,
     rgba,
     set_attribute,
 )
-from ..data.write_fruits import matt_material
-from ..data.write_points import colored_points, show_points
+from ..data.write_fruits import ensure_matt_material
+from ..data.write_points import make_colored_points, show_points
 from ..root_placement import place_root, placement_of
 from ..scene_frame import SceneFrame
 from ..viewport.fruit_colours import probability_colours, tree_colour
@@ -49,12 +49,12 @@ POINT_RADIUS = 0.004
 
 def write_overview(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult], colors: Colors) -> None:
     """Replace what this Blender scene shows of a block; of the same results, what the user placed or hid stays so."""
-    placements, hidden = _placements(bpy_scene, results), _hidden(bpy_scene)
+    placements, hidden = _read_placements(bpy_scene, results), _read_hidden(bpy_scene)
     remove_overview(bpy_scene)
-    parent = owned_collection(bpy_scene, "block", "Orchard")
+    parent = ensure_owned_collection(bpy_scene, "block", "Orchard")
     number = 0
     for result in results:
-        root = new_object(result.folder, None, "block-root", _collection(result.folder, parent), None)
+        root = make_object(result.folder, None, "block-root", _make_collection(result.folder, parent), None)
         root.empty_display_size = 0.1 * result.width or 0.1
         root[RESULT] = result.folder
         upright = Matrix.Translation((*result.place, 0.0)) @ Matrix(result.matrix.tolist())
@@ -62,12 +62,12 @@ def write_overview(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult], c
         several = len(result.trees) > 1
         for tree in result.trees:
             own = root.users_collection[0]
-            collection = _collection(tree.name, own) if several else own
+            collection = _make_collection(tree.name, own) if several else own
             _write_fruit(tree, number, collection, root, colors)
             number += 1
         if len(result.points):
             _write_points(result, root)
-    for item in _shown(bpy_scene):
+    for item in _find_shown(bpy_scene):
         state = hidden.get(item.name, Hidden(viewport=False, render=False))
         item.hide_viewport, item.hide_render = state.viewport, state.render
 
@@ -80,19 +80,19 @@ class Hidden:
     render: bool
 
 
-def _shown(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """All objects of the overview."""
-    return [item for role in SHOWN for item in owned_objects(bpy_scene, role)]
+def _find_shown(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Find all objects of the overview."""
+    return [item for role in SHOWN for item in find_owned_objects(bpy_scene, role)]
 
 
-def _hidden(bpy_scene: bpy.types.Scene) -> dict[str, Hidden]:
-    """{name of an object: whether the user hid it}."""
-    return {item.name: Hidden(item.hide_viewport, item.hide_render) for item in _shown(bpy_scene)}
+def _read_hidden(bpy_scene: bpy.types.Scene) -> dict[str, Hidden]:
+    """Return {name of an object: whether the user hid it}."""
+    return {item.name: Hidden(item.hide_viewport, item.hide_render) for item in _find_shown(bpy_scene)}
 
 
-def _placements(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult]) -> dict[str, Matrix]:
-    """{folder of a result: how the user placed its root}; none if most of those shown are not in this block."""
-    frames = {str(item.get(RESULT)): SceneFrame(item, Matrix()) for item in owned_objects(bpy_scene, "block-root")}
+def _read_placements(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult]) -> dict[str, Matrix]:
+    """Return {folder of a result: how the user placed its root}; none if most of those shown are not in this block."""
+    frames = {str(item.get(RESULT)): SceneFrame(item, Matrix()) for item in find_owned_objects(bpy_scene, "block-root")}
     if 2 * len(set(frames) & {result.folder for result in results}) < len(frames):
         return {}
     found = {folder: placement_of(frame) for folder, frame in frames.items()}
@@ -101,18 +101,18 @@ def _placements(bpy_scene: bpy.types.Scene, results: Sequence[ShownResult]) -> d
 
 def remove_overview(bpy_scene: bpy.types.Scene) -> None:
     """Remove what this Blender scene shows of a block."""
-    remove_objects(_shown(bpy_scene))
+    remove_objects(_find_shown(bpy_scene))
     for collection in [each for each in bpy_scene.collection.children_recursive if each.get(OWNER) == "block-tree"]:
         bpy.data.collections.remove(collection)
 
 
 def color_fruit(bpy_scene: bpy.types.Scene, colors: Colors) -> None:
     """Colour all fruit by their tree, or by their probability."""
-    for number, item in enumerate(owned_objects(bpy_scene, "block-fruit")):
+    for number, item in enumerate(find_owned_objects(bpy_scene, "block-fruit")):
         _color(item, number, colors)
 
 
-def _collection(name: str, parent: bpy.types.Collection) -> bpy.types.Collection:
+def _make_collection(name: str, parent: bpy.types.Collection) -> bpy.types.Collection:
     collection = bpy.data.collections.new(name)
     collection[OWNER] = "block-tree"
     parent.children.link(collection)
@@ -132,7 +132,7 @@ def _write_fruit(
     set_attribute(mesh, PROBABILITIES, "FLOAT", np.repeat(tree.probabilities, len(vertices)))
     mesh.materials.append(_material())
     mesh.update()
-    item = new_object(f"{tree.name} fruit", mesh, "block-fruit", collection, root)
+    item = make_object(f"{tree.name} fruit", mesh, "block-fruit", collection, root)
     item[TREE] = tree.name
     _color(item, number, colors)
 
@@ -151,8 +151,8 @@ def _color(item: bpy.types.Object, number: int, colors: Colors) -> None:
 
 
 def _write_points(result: ShownResult, root: bpy.types.Object) -> None:
-    mesh = colored_points(f"{result.folder} Gaussians", result.points, result.colors)
-    item = new_object(mesh.name, mesh, "block-points", root.users_collection[0], root)
+    mesh = make_colored_points(f"{result.folder} Gaussians", result.points, result.colors)
+    item = make_object(mesh.name, mesh, "block-points", root.users_collection[0], root)
     item.hide_select = True
     show_points(item, POINT_RADIUS * result.width / float(np.linalg.norm(result.matrix[0, :3])))
 
@@ -174,4 +174,4 @@ def _material() -> bpy.types.Material:
         node.layer_name = COLORS
         return node
 
-    return matt_material("Fruit of a block", "block-fruit", color)
+    return ensure_matt_material("Fruit of a block", "block-fruit", color)

@@ -13,13 +13,13 @@ from ...engine.errors import SceneError
 from ...engine.report.words import format_three_digits
 from ..blender_data import (
     OWNER,
-    gaussian_attributes,
-    local_collections,
-    owned_object,
-    owned_objects,
+    find_owned_object,
+    find_owned_objects,
+    list_local_collections,
+    read_gaussian_attributes,
     set_attribute,
 )
-from ..scene_frame import REMEDY, SceneFrame, scene_frame, stored_pose
+from ..scene_frame import REMEDY, SceneFrame, read_stored_pose, scene_frame
 from .fruit_shape import fruit_ellipsoid
 from .write_fruits import LENGTHS, MADE, REJECTED, REVIEW, write_fruit
 
@@ -43,21 +43,21 @@ LEAST_TOGETHER = 3
 
 def fruit_collection(bpy_scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The collection of the fruit objects, or that of the first of them if the user removed it; None without fruit."""
-    first = owned_object(bpy_scene, "fruit")
+    first = find_owned_object(bpy_scene, "fruit")
     if first is None:
         return None
-    made = (each for each in local_collections(bpy_scene) if each.get(OWNER) == "fruits")
+    made = (each for each in list_local_collections(bpy_scene) if each.get(OWNER) == "fruits")
     return next(made, first.users_collection[0])
 
 
-def standing(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The fruit that count: all that are not rejected."""
-    return [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) != REJECTED]
+def list_counted_fruit(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """List the fruit that count: all that are not rejected."""
+    return [item for item in find_owned_objects(bpy_scene, "fruit") if item.get(REVIEW) != REJECTED]
 
 
 def metres_per_unit(bpy_scene: bpy.types.Scene) -> float | None:
     """Metres per unit of the scene frame; None if the scale is unknown."""
-    root = owned_object(bpy_scene, "root")
+    root = find_owned_object(bpy_scene, "root")
     return None if root is None else float(root.get("metres_per_unit", 0.0)) or None
 
 
@@ -97,8 +97,8 @@ def fruit_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
         SceneError: it is unknown, or more than half of the counted fruit are not where they were counted: what moved
             them together, away from the cameras, was no correction of fruit.
     """
-    frame, fruits = scene_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
-    counted = _as_written(fruits)
+    frame, fruits = scene_frame(bpy_scene), find_owned_objects(bpy_scene, "fruit")
+    counted = _select_written(fruits)
     moved = [item for item in counted if _is_moved(item, frame)]
     if len(counted) >= LEAST_TOGETHER and 2 * len(moved) > len(counted):
         raise SceneError(
@@ -113,7 +113,7 @@ def fruit_frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
 
 def _is_moved(item: bpy.types.Object, frame: SceneFrame) -> bool:
     """Whether a fruit is away from where it was written."""
-    pose = stored_pose(item)
+    pose = read_stored_pose(item)
     if pose is None:
         return False
     away = float(np.linalg.norm(fruit_ellipsoid(item, frame).center - pose[:3, 3]))
@@ -122,17 +122,17 @@ def _is_moved(item: bpy.types.Object, frame: SceneFrame) -> bool:
 
 def count_edited(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> int:
     """How many counted fruit the user moved or scaled by hand and did not reject."""
-    return sum(_is_edited(item, frame) for item in _as_written(standing(bpy_scene)))
+    return sum(_is_edited(item, frame) for item in _select_written(list_counted_fruit(bpy_scene)))
 
 
-def _as_written(items: list[bpy.types.Object]) -> list[bpy.types.Object]:
-    """The fruit that a count made, whose pose it stored."""
-    return [item for item in items if stored_pose(item) is not None and not is_made(item)]
+def _select_written(items: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Select the fruit that a count made, whose pose it stored."""
+    return [item for item in items if read_stored_pose(item) is not None and not is_made(item)]
 
 
 def _is_edited(item: bpy.types.Object, frame: SceneFrame) -> bool:
     """Whether a fruit has another position or size than it was written with."""
-    pose, found = stored_pose(item), fruit_ellipsoid(item, frame)
+    pose, found = read_stored_pose(item), fruit_ellipsoid(item, frame)
     assert pose is not None
     lengths = np.sort(np.linalg.norm(pose[:3, :3], axis=0))[::-1]
     grown = np.abs(2.0 * np.linalg.norm(found.axes, axis=1) - lengths).max()
@@ -165,16 +165,16 @@ def check_made(bpy_scene: bpy.types.Scene, name: str, center: NDArray[np.float64
     from ...engine.counting.accounts.plausible import check_position, check_size
 
     frame = scene_frame(bpy_scene)
-    cameras = [frame.of(item).translation for item in owned_objects(bpy_scene, "camera")]
+    cameras = [frame.of(item).translation for item in find_owned_objects(bpy_scene, "camera")]
     check_position(name, center, np.array(cameras, np.float64).reshape(-1, 3))
     if diameter is not None:
-        check_size(name, diameter, usual_diameter(bpy_scene))
+        check_size(name, diameter, find_usual_diameter(bpy_scene))
 
 
-def usual_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """Median diameter of the current fruit, else of the rejected ones, scene units; 0 without any."""
+def find_usual_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """Return the median diameter of the current fruit, else of the rejected ones, scene units; 0 without any."""
     unit = metres_per_unit(bpy_scene) or 1.0
-    items = standing(bpy_scene) or owned_objects(bpy_scene, "fruit")
+    items = list_counted_fruit(bpy_scene) or find_owned_objects(bpy_scene, "fruit")
     sizes = [float(item["diameter"]) / unit for item in items if "diameter" in item]
     return float(np.median(sizes)) if sizes else 0.0
 
@@ -185,7 +185,7 @@ def keep_sizes(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> None:
     The measured uncertainty does not apply to such a size.
     """
     unit = metres_per_unit(bpy_scene) or 1.0
-    for item in owned_objects(bpy_scene, "fruit"):
+    for item in find_owned_objects(bpy_scene, "fruit"):
         spot = spot_of(item, frame)
         if _is_scaled(bpy_scene, item, spot):
             item["diameter"] = spot.diameter * unit
@@ -216,7 +216,7 @@ def judge(item: bpy.types.Object, verdict: str) -> None:
 
 
 def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | None) -> bpy.types.Object:
-    """An object for a fruit that the user made; its colour and tree are those of the fruit `like`."""
+    """Make an object for a fruit that the user made; its colour and tree are those of the fruit `like`."""
     from ...engine.counting.fruit import Fruit
 
     frame = scene_frame(bpy_scene)
@@ -244,9 +244,9 @@ def make_fruit(bpy_scene: bpy.types.Scene, spot: Spot, like: bpy.types.Object | 
     return item
 
 
-def next_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
-    """Ids that no fruit of this Blender scene ever had."""
-    used = [int(item.get("id", 0)) for item in owned_objects(bpy_scene, "fruit")]
+def choose_new_ids(bpy_scene: bpy.types.Scene, count: int) -> list[int]:
+    """Choose ids that no fruit of this Blender scene ever had."""
+    used = [int(item.get("id", 0)) for item in find_owned_objects(bpy_scene, "fruit")]
     last = max([int(bpy_scene.get(LAST_ID, 0)), *used])
     return list(range(last + 1, last + 1 + count))
 
@@ -256,13 +256,13 @@ def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray
 
     A copy that the user made of a fruit has the same id: each of them gets the Gaussians nearest to it.
     """
-    found = gaussian_attributes(bpy_scene, "fruit_id", "position")
+    found = read_gaussian_attributes(bpy_scene, "fruit_id", "position")
     if found is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     owners, places = found
     own = np.flatnonzero(owners == item["id"])
     same = [item]
-    same += [each for each in owned_objects(bpy_scene, "fruit") if each.get("id") == item["id"] and each != item]
+    same += [each for each in find_owned_objects(bpy_scene, "fruit") if each.get("id") == item["id"] and each != item]
     if len(same) > 1:
         frame = scene_frame(bpy_scene)
         centers = np.array([fruit_ellipsoid(each, frame).center for each in same])
@@ -273,14 +273,14 @@ def members(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> tuple[NDArray
 
 def give_members(bpy_scene: bpy.types.Scene, own: NDArray[np.int64], numbers: NDArray[np.int64] | int) -> None:
     """Assign the Gaussians `own` (M,) to the fruit with these ids, (M,) or one."""
-    item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
+    item, found = find_owned_object(bpy_scene, "gaussians"), read_gaussian_attributes(bpy_scene, "fruit_id")
     if len(own) and item is not None and found is not None:
         found[0][own] = numbers
         set_attribute(item.data, "fruit_id", "INT", found[0])
 
 
-def now() -> str:
-    """The current time in the format of the log."""
+def format_now() -> str:
+    """Write the current time in the format of the log."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 

@@ -45,7 +45,7 @@ def fruit_ellipsoid(item: bpy.types.Object, frame: SceneFrame) -> Ellipsoid:
     """
     placed = np.array(frame.of(item), np.float64)
     mesh = _mesh_ellipsoid(item)
-    axes = _principal(mesh.axes @ placed[:3, :3].T)
+    axes = _find_principal_axes(mesh.axes @ placed[:3, :3].T)
     axes = axes[np.argsort(-np.linalg.norm(axes, axis=1), kind="stable")]
     axes[2] *= np.sign(np.linalg.det(axes)) or 1.0
     return Ellipsoid(placed[:3, :3] @ mesh.center + placed[:3, 3], axes)
@@ -83,8 +83,8 @@ def _mesh_ellipsoid(item: bpy.types.Object) -> Ellipsoid:
     )
 
 
-def _principal(axes: FloatArray) -> FloatArray:
-    """(3, 3) the half axes of the ellipsoid that the rows of `axes` (3, 3) map the unit sphere to."""
+def _find_principal_axes(axes: FloatArray) -> FloatArray:
+    """Find the half axes (3, 3) of the ellipsoid that the rows of `axes` (3, 3) map the unit sphere to."""
     lengths = np.linalg.norm(axes, axis=1)
     cosines = np.abs(axes @ axes.T - np.diag(lengths**2)).max()
     if cosines <= ORTHOGONAL * lengths.max() ** 2:

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from ..blender_data import owned_object
+from ..blender_data import find_owned_object
 from ..scene_frame import SceneFrame, scene_frame
 from .fruit_objects import (
     ADDED,
     LAST_ID,
+    choose_new_ids,
+    format_now,
     fruit_frame,
     is_made,
     judge,
     keep_spot,
-    next_ids,
-    now,
+    list_counted_fruit,
     spot_of,
     spots_of,
-    standing,
     write_log,
 )
 from .missing_fruit import check_missing, keep_details, reject_missing
@@ -41,12 +41,12 @@ OF_ONE_COUNT = ("probability", "visible_fraction", "diameter_sd", "views", "kind
 def remember_fruit(bpy_scene: bpy.types.Scene) -> None:
     """Store which fruit exist and where; counted ones at the position of the count, so that a later count finds
     them."""
-    if owned_object(bpy_scene, "root") is None:
+    if find_owned_object(bpy_scene, "root") is None:
         return
     frame, known = scene_frame(bpy_scene), bpy_scene.fruitlangs.review.known
     found = {spot.id: spot for spot in spots_of(known)}
     spots = []
-    for item in standing(bpy_scene):
+    for item in list_counted_fruit(bpy_scene):
         before = found.get(int(item.get("id", 0)))
         spots.append((spot_of(item, frame) if before is None or is_made(item) else before, item))
     known.clear()
@@ -58,20 +58,20 @@ def log_copies(bpy_scene: bpy.types.Scene) -> list[str]:
     """Log which fruit were copied since `remember_fruit`; returns it as texts."""
     from ...engine.counting.accounts.review import Decision
 
-    if owned_object(bpy_scene, "root") is None:
+    if find_owned_object(bpy_scene, "root") is None:
         return []
     frame, known = fruit_frame(bpy_scene), spots_of(bpy_scene.fruitlangs.review.known)
-    items, notices = _originals(bpy_scene, frame, known), []
+    items, notices = _find_originals(bpy_scene, frame, known), []
     own = set(items.values())
-    copies = [item for item in standing(bpy_scene) if item not in own]
-    for item, number in zip(copies, next_ids(bpy_scene, len(copies)), strict=True):
+    copies = [item for item in list_counted_fruit(bpy_scene) if item not in own]
+    for item, number in zip(copies, choose_new_ids(bpy_scene, len(copies)), strict=True):
         _make_own(bpy_scene, item, number)
         spot = spot_of(item, frame)
-        write_log(bpy_scene, Decision("add", now(), "copied", after=(spot,)))
+        write_log(bpy_scene, Decision("add", format_now(), "copied", after=(spot,)))
         if known:
             keep_details(keep_spot(bpy_scene.fruitlangs.review.known, spot), item)
     if copies:
-        notices.append(f"copied by hand and added in the log: {_numbers([item['id'] for item in copies])}")
+        notices.append(f"copied by hand and added in the log: {_join_numbers([item['id'] for item in copies])}")
     return notices
 
 
@@ -87,16 +87,18 @@ def log_deletions(bpy_scene: bpy.types.Scene) -> list[str]:
     check_missing(bpy_scene)
     missing = reject_missing(bpy_scene)
     remember_fruit(bpy_scene)
-    return [f"deleted by hand and rejected in the log: {_numbers([spot.id for spot in missing])}"] if missing else []
+    return (
+        [f"deleted by hand and rejected in the log: {_join_numbers([spot.id for spot in missing])}"] if missing else []
+    )
 
 
-def _originals(bpy_scene: bpy.types.Scene, frame: SceneFrame, known: list[Spot]) -> dict[int, bpy.types.Object]:
-    """{id: object} of the stored fruit; of several with one id the nearest to the stored position.
+def _find_originals(bpy_scene: bpy.types.Scene, frame: SceneFrame, known: list[Spot]) -> dict[int, bpy.types.Object]:
+    """Return {id: object} of the stored fruit; of several with one id the nearest to the stored position.
 
     Without a stored position it is the first of each id.
     """
     centers, found = {spot.id: spot.center for spot in known}, dict[int, tuple[float, bpy.types.Object]]()
-    for item in sorted(standing(bpy_scene), key=lambda item: item.name):
+    for item in sorted(list_counted_fruit(bpy_scene), key=lambda item: item.name):
         number = int(item.get("id", 0))
         if known and number not in centers:
             continue
@@ -117,5 +119,5 @@ def _make_own(bpy_scene: bpy.types.Scene, item: bpy.types.Object, number: int) -
     label_fruit(item, str(item.get("label", "fruit")), bpy_scene)
 
 
-def _numbers(numbers: list[int]) -> str:
+def _join_numbers(numbers: list[int]) -> str:
     return ", ".join(map(str, sorted(numbers)))

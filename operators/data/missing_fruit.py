@@ -13,9 +13,19 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.errors import CountingError
-from ..blender_data import owned_collection, owned_object, owned_objects, unlinked_fruit
+from ..blender_data import ensure_owned_collection, find_owned_object, find_owned_objects, find_unlinked_fruit
 from ..viewport.fruit_colours import colour_fruit
-from .fruit_objects import REJECTED, REVIEW, is_made, judge, make_fruit, now, spots_of, standing, write_log
+from .fruit_objects import (
+    REJECTED,
+    REVIEW,
+    format_now,
+    is_made,
+    judge,
+    list_counted_fruit,
+    make_fruit,
+    spots_of,
+    write_log,
+)
 from .write_fruits import put_on_tree
 
 if TYPE_CHECKING:
@@ -31,27 +41,27 @@ DELETED = "deleted"
 """Reason in the log of fruit that were deleted by hand."""
 
 
-def missing_fruit(bpy_scene: bpy.types.Scene) -> list[Spot]:
-    """The fruit of the last check that are not in this Blender scene any more; none if its root is gone too."""
-    return spots_of(_missing_rows(bpy_scene))
+def find_missing_fruit(bpy_scene: bpy.types.Scene) -> list[Spot]:
+    """Find the fruit of the last check that are not in this Blender scene any more; none if its root is gone too."""
+    return spots_of(_find_missing_rows(bpy_scene))
 
 
-def many_missing(bpy_scene: bpy.types.Scene) -> int:
-    """How many fruit are missing, if they are too many for a decision; else 0."""
-    missing = len(_missing_rows(bpy_scene))
+def count_many_missing(bpy_scene: bpy.types.Scene) -> int:
+    """Count the missing fruit, if they are too many for a decision; else 0."""
+    missing = len(_find_missing_rows(bpy_scene))
     return missing if missing > max(FEW, SHARE * len(bpy_scene.fruitlangs.review.known)) else 0
 
 
-def _missing_rows(bpy_scene: bpy.types.Scene) -> list[Any]:
-    if owned_object(bpy_scene, "root") is None:
+def _find_missing_rows(bpy_scene: bpy.types.Scene) -> list[Any]:
+    if find_owned_object(bpy_scene, "root") is None:
         return []
-    present = {int(item.get("id", 0)) for item in standing(bpy_scene)}
+    present = {int(item.get("id", 0)) for item in list_counted_fruit(bpy_scene)}
     return [row for row in bpy_scene.fruitlangs.review.known if row.number not in present]
 
 
-def missing_text(bpy_scene: bpy.types.Scene) -> str:
-    """'117 of 117 fruit were deleted or unlinked'; empty if none or few were."""
-    missing = many_missing(bpy_scene)
+def describe_missing(bpy_scene: bpy.types.Scene) -> str:
+    """Say '117 of 117 fruit were deleted or unlinked'; empty if none or few were."""
+    missing = count_many_missing(bpy_scene)
     return f"{missing} of {len(bpy_scene.fruitlangs.review.known)} fruit were deleted or unlinked" if missing else ""
 
 
@@ -61,7 +71,7 @@ def check_missing(bpy_scene: bpy.types.Scene) -> None:
     Raises:
         CountingError: many fruit were deleted or unlinked since the last check.
     """
-    text = missing_text(bpy_scene)
+    text = describe_missing(bpy_scene)
     if text:
         raise CountingError(
             f"{text}. Undo, or press Restore Fruit or Reject Missing in step 5 (in a script: "
@@ -73,9 +83,9 @@ def reject_missing(bpy_scene: bpy.types.Scene, reason: str = DELETED) -> list[Sp
     """Log all missing fruit as rejected, and return them."""
     from ...engine.counting.accounts.review import Decision
 
-    missing = missing_fruit(bpy_scene)
+    missing = find_missing_fruit(bpy_scene)
     if missing:
-        write_log(bpy_scene, Decision("reject", now(), reason, before=tuple(missing)))
+        write_log(bpy_scene, Decision("reject", format_now(), reason, before=tuple(missing)))
     return missing
 
 
@@ -87,14 +97,14 @@ def restore_missing(bpy_scene: bpy.types.Scene) -> int:
     Raises:
         CountingError: a file of an earlier version does not have these details.
     """
-    missing = {spot.id: spot for spot in missing_fruit(bpy_scene)}
+    missing = {spot.id: spot for spot in find_missing_fruit(bpy_scene)}
     details = {row.number: row.details for row in bpy_scene.fruitlangs.review.known}
-    root = owned_object(bpy_scene, "root")
+    root = find_owned_object(bpy_scene, "root")
     assert root is not None
-    unlinked = {int(item.get("id", 0)): item for item in unlinked_fruit(root)}
+    unlinked = {int(item.get("id", 0)): item for item in find_unlinked_fruit(root)}
     if any(not details[number] for number in missing if number not in unlinked):
         raise CountingError("The deleted fruit are not stored in this file. Undo, or import the result again")
-    fruits = owned_collection(bpy_scene, "fruits", "Fruits")
+    fruits = ensure_owned_collection(bpy_scene, "fruits", "Fruits")
     for number, spot in missing.items():
         if number in unlinked:
             fruits.objects.link(unlinked[number])
@@ -119,9 +129,10 @@ def _set_details(item: bpy.types.Object, details: str, bpy_scene: bpy.types.Scen
     item.hide_viewport = item.hide_render = False
 
 
-def rejected_text(bpy_scene: bpy.types.Scene) -> str:
-    """'the review rejects 117 of 117 fruit'; empty unless it rejects more than half of them, and more than `FEW`."""
-    counted = [item for item in owned_objects(bpy_scene, "fruit") if not is_made(item)]
+def describe_rejected(bpy_scene: bpy.types.Scene) -> str:
+    """Say 'the review rejects 117 of 117 fruit'; empty unless it rejects more than half of them, and more than
+    `FEW`."""
+    counted = [item for item in find_owned_objects(bpy_scene, "fruit") if not is_made(item)]
     rejected = sum(item.get(REVIEW) == REJECTED for item in counted)
     return f"the review rejects {rejected} of {len(counted)} fruit" if rejected > max(FEW, len(counted) // 2) else ""
 
@@ -130,8 +141,8 @@ def reopen_rejected(bpy_scene: bpy.types.Scene, spots: Sequence[Spot]) -> int:
     """Undo the rejection of all fruit that exist, with their `spots` for the log, and return their number."""
     from ...engine.counting.accounts.review import Decision
 
-    items = [item for item in owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == REJECTED]
-    write_log(bpy_scene, Decision("reopen", now(), "", before=tuple(spots)))
+    items = [item for item in find_owned_objects(bpy_scene, "fruit") if item.get(REVIEW) == REJECTED]
+    write_log(bpy_scene, Decision("reopen", format_now(), "", before=tuple(spots)))
     for item in items:
         judge(item, "")
     return len(items)

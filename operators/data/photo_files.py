@@ -15,7 +15,7 @@ import bpy
 
 from ...engine.errors import SceneError
 from ..blender_data import OWNER
-from ..settings.settings import PHOTO_FILE, known_path, stored_path
+from ..settings.settings import PHOTO_FILE, format_stored_path, resolve_known_path
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import Camera, Photo
@@ -43,7 +43,7 @@ def keep_photo(item: bpy.types.Object, camera: Camera, photo: Photo | None) -> N
     if path is None:
         return
     found: Any = photo
-    item[FILE] = stored_path(path.absolute())
+    item[FILE] = format_stored_path(path.absolute())
     if not found.is_as_stored or path.suffix.lower() in UNREAD:
         lens = found.lens
         item[LENS] = json.dumps(
@@ -71,13 +71,13 @@ def photo_path(item: bpy.types.Object) -> Path:
     """
     if not item.get(FILE):
         raise SceneError(f"There was no photo for the camera {item.name}. Import the scene again with its photos")
-    kept = known_path(item[FILE])
+    kept = resolve_known_path(item[FILE])
     if kept is not None and kept.is_file():
         return kept
     kept = kept or Path(item[FILE])
     parts = [part for part in kept.parts[1:] if part != ".."]
     tails = [PurePath(*parts[start:]) for start in range(len(parts))]
-    found = next((base / tail for base in _bases() for tail in tails if (base / tail).is_file()), None)
+    found = next((base / tail for base in _list_bases() for tail in tails if (base / tail).is_file()), None)
     if found is None:
         raise SceneError(
             f"The photo {kept.name} is no longer in {kept.parent}. Put it back, or move its folder next to the .blend"
@@ -85,51 +85,52 @@ def photo_path(item: bpy.types.Object) -> Path:
     return found
 
 
-def _bases() -> list[Path]:
-    """Folders in which moved photos are searched."""
+def _list_bases() -> list[Path]:
+    """List the folders in which moved photos are searched."""
     found = []
     if bpy.data.filepath:
         folder = Path(bpy.data.filepath).parent
         found += [folder, *list(folder.parents)[:NEAR_BLEND]]
     sources = {scene.fruitlangs.source for scene in bpy.data.scenes if hasattr(scene, "fruitlangs")}
-    return found + [folder for folder in map(known_path, sorted(sources)) if folder is not None]
+    return found + [folder for folder in map(resolve_known_path, sorted(sources)) if folder is not None]
 
 
-def viewed_file(item: bpy.types.Object) -> Path:
-    """A picture of what the camera shows: the photo's own file, or an undistorted copy in Blender's temporary folder.
+def provide_viewed_file(item: bpy.types.Object) -> Path:
+    """Return a picture of what the camera shows: the photo's own file, or an undistorted copy in Blender's temporary
+    folder.
 
     Raises:
         SceneError: the photo is gone or cannot be decoded.
         ImportError: undistorting needs a package that is not installed.
     """
-    made = _viewed_name(item)
+    made = _name_viewed_file(item)
     if not made.is_file():
-        undistorting(item)()
+        prepare_undistortion(item)()
     return made
 
 
-def ready_file(item: bpy.types.Object) -> Path | None:
-    """`viewed_file` if that takes no time; None if `undistorting` must be called first.
+def find_ready_file(item: bpy.types.Object) -> Path | None:
+    """Do as `provide_viewed_file` if that takes no time; return None if `prepare_undistortion` must be called first.
 
     Raises:
         SceneError: the photo is gone.
     """
-    made = _viewed_name(item)
+    made = _name_viewed_file(item)
     return made if made.is_file() else None
 
 
-def undistorting(item: bpy.types.Object) -> Callable[[], None]:
-    """What makes the picture that the camera sees; any thread may call it.
+def prepare_undistortion(item: bpy.types.Object) -> Callable[[], None]:
+    """Return the function that makes the picture that the camera sees; any thread may call it.
 
     Raises (both this and what is returned):
         SceneError: the photo is gone or cannot be decoded.
         ImportError: a package is not installed.
     """
-    photo, made = _file_photo(item, photo_path(item)), _viewed_name(item)
+    photo, made = _open_photo(item, photo_path(item)), _name_viewed_file(item)
     return lambda: _write_undistorted(photo, made)
 
 
-def _viewed_name(item: bpy.types.Object) -> Path:
+def _name_viewed_file(item: bpy.types.Object) -> Path:
     path = photo_path(item)
     if LENS not in item:
         return path
@@ -137,8 +138,8 @@ def _viewed_name(item: bpy.types.Object) -> Path:
     return Path(bpy.app.tempdir) / f"fruitlangs_{hashlib.sha256(text.encode()).hexdigest()[:16]}.png"
 
 
-def _file_photo(item: bpy.types.Object, path: Path) -> FilePhoto:
-    """The photo as the scene reader reads it, no larger than `LONGEST`."""
+def _open_photo(item: bpy.types.Object, path: Path) -> FilePhoto:
+    """Open the photo as the scene reader reads it, no larger than `LONGEST`."""
     from PIL import Image
 
     from ...engine.scene.photos.lens import Lens

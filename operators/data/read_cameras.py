@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ...engine.errors import SceneError
-from ..blender_data import get_attribute, owned_object, owned_objects, point_positions, srgb_from_linear
+from ..blender_data import find_owned_object, find_owned_objects, get_attribute, point_positions, srgb_from_linear
 from ..root_placement import upright_of
 from ..scene_frame import SceneFrame, scene_frame
 from .fruit_objects import metres_per_unit
@@ -28,7 +28,7 @@ def read_scene(bpy_scene: bpy.types.Scene) -> Scene:
     from ...engine.scene.camera import Scene
 
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
-    sparse = owned_object(bpy_scene, "points")
+    sparse = find_owned_object(bpy_scene, "points")
     if sparse is not None and sparse.mode != "EDIT":
         points = point_positions(sparse).astype(np.float64)
         shown = srgb_from_linear(get_attribute(sparse.data, "radiance:base")[:, :3])
@@ -53,7 +53,7 @@ def read_cameras(bpy_scene: bpy.types.Scene) -> list[Camera]:
         SceneError: a camera is not perspective.
     """
     frame = _frame(bpy_scene)
-    return [read_camera(item, frame) for item in owned_objects(bpy_scene, "camera") if SIZE in item]
+    return [read_camera(item, frame) for item in find_owned_objects(bpy_scene, "camera") if SIZE in item]
 
 
 def read_camera(item: bpy.types.Object, frame: SceneFrame) -> Camera:
@@ -63,11 +63,11 @@ def read_camera(item: bpy.types.Object, frame: SceneFrame) -> Camera:
         SceneError: it is not perspective.
     """
     width, height = (int(side) for side in item[SIZE])
-    return _camera(item, frame, width, height, float(item[ASPECT]))
+    return _make_camera(item, frame, width, height, float(item[ASPECT]))
 
 
-def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
-    """The camera of a Blender render, at the size of the render.
+def read_active_camera(bpy_scene: bpy.types.Scene) -> Camera:
+    """Read the camera of a Blender render, at the size of the render.
 
     Raises:
         SceneError: there is none, it is not perspective, or nothing was imported.
@@ -79,11 +79,12 @@ def active_camera(bpy_scene: bpy.types.Scene) -> Camera:
         layer.update()  # a camera that was just moved or added has no world matrix yet
     share = render.resolution_percentage / 100.0
     width, height = (max(round(side * share), 1) for side in (render.resolution_x, render.resolution_y))
-    return _camera(item, _frame(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)
+    return _make_camera(item, _frame(bpy_scene), width, height, render.pixel_aspect_y / render.pixel_aspect_x)
 
 
-def _camera(item: bpy.types.Object, frame: SceneFrame, width: int, height: int, aspect: float) -> Camera:
-    """A camera object that makes pictures of width × height pixels, which are `aspect` times as high as wide."""
+def _make_camera(item: bpy.types.Object, frame: SceneFrame, width: int, height: int, aspect: float) -> Camera:
+    """Return the camera of an object that makes pictures of width × height pixels, which are `aspect` times as high as
+    wide."""
     from ...engine.scene.camera import Camera
 
     if item.type != "CAMERA" or item.data.type != "PERSP":
@@ -91,11 +92,14 @@ def _camera(item: bpy.types.Object, frame: SceneFrame, width: int, height: int, 
     place, turned, _ = frame.of(item).decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(turned.to_matrix()), np.array(place)
-    return Camera(_intrinsics(item.data, width, height, aspect), np.linalg.inv(pose @ BLENDER_AXES), width, height)
+    return Camera(
+        _compute_intrinsics(item.data, width, height, aspect), np.linalg.inv(pose @ BLENDER_AXES), width, height
+    )
 
 
-def _intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) -> FloatArray:
-    """(3, 3) K. Blender fits the sensor to one side of the picture, and its shifts are fractions of that side."""
+def _compute_intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) -> FloatArray:
+    """Compute K (3, 3). Blender fits the sensor to one side of the picture, and its shifts are fractions of that
+    side."""
     upright = data.sensor_fit == "VERTICAL" or (data.sensor_fit == "AUTO" and width < height * aspect)
     side = height * aspect if upright else width
     sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
@@ -105,6 +109,6 @@ def _intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: float) 
 
 
 def _frame(bpy_scene: bpy.types.Scene) -> SceneFrame:
-    if owned_object(bpy_scene, "root") is None:
+    if find_owned_object(bpy_scene, "root") is None:
         raise SceneError("No scene is imported yet. Import one first")
     return scene_frame(bpy_scene)

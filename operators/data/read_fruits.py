@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import CountingError
-from ..blender_data import gaussian_attributes, owned_object
+from ..blender_data import find_owned_object, read_gaussian_attributes
 from ..scene_frame import SceneFrame
-from .fruit_objects import LAST_ID, SAME, fruit_frame, metres_per_unit, next_ids, spot_of, standing
+from .fruit_objects import LAST_ID, SAME, choose_new_ids, fruit_frame, list_counted_fruit, metres_per_unit, spot_of
 from .stored_audit import read_audit
-from .stored_review import is_reviewed, reviewed_interval
+from .stored_review import correct_interval_by_review, is_reviewed
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import Fruit, FruitCount, Tree
@@ -33,12 +33,12 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
     """
     from ...engine.counting.fruit import FruitCount
 
-    if not counted(bpy_scene):
+    if not has_count(bpy_scene):
         raise CountingError("Nothing is counted yet. Count first")
     frame = fruit_frame(bpy_scene)
-    items = sorted(standing(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
+    items = sorted(list_counted_fruit(bpy_scene), key=lambda item: (int(item.get("id", 0)), item.name))
     owners = _gaussian_attribute(bpy_scene, "fruit_id", np.int32)
-    numbers = _numbers(bpy_scene, items)
+    numbers = _assign_ids(bpy_scene, items)
     unit = metres_per_unit(bpy_scene) or 1.0
     fruits = [read_fruit(item, frame, number, owners, unit) for item, number in zip(items, numbers, strict=True)]
     shown = bpy_scene.fruitlangs.result
@@ -49,16 +49,16 @@ def read_fruits(bpy_scene: bpy.types.Scene) -> FruitCount:
         max_probability=float(_gaussian_attribute(bpy_scene, "probability", np.float32).max(initial=0.0)),
         mean_diameter=float(np.mean([fruit.diameter for fruit in fruits])) if fruits else None,
         last_id=max([int(bpy_scene.get(LAST_ID, 0)), *numbers]),
-        interval=reviewed_interval(bpy_scene),
+        interval=correct_interval_by_review(bpy_scene),
         total=float(shown.total) if has_total else None,
         total_interval=(shown.total_low, shown.total_high) if has_total else None,
-        trees=_trees(fruits),
+        trees=_list_trees(fruits),
     )
 
 
-def counted(bpy_scene: bpy.types.Scene) -> bool:
+def has_count(bpy_scene: bpy.types.Scene) -> bool:
     """Whether there was a count, including one of 0 fruit."""
-    return bpy_scene.fruitlangs.result.count >= 0 or owned_object(bpy_scene, "fruit") is not None
+    return bpy_scene.fruitlangs.result.count >= 0 or find_owned_object(bpy_scene, "fruit") is not None
 
 
 def read_fruit(
@@ -91,16 +91,16 @@ def read_fruit(
     )
 
 
-def _numbers(bpy_scene: bpy.types.Scene, items: list[bpy.types.Object]) -> list[int]:
-    """One id per fruit; the first of several with the same keeps it."""
+def _assign_ids(bpy_scene: bpy.types.Scene, items: list[bpy.types.Object]) -> list[int]:
+    """Return one id per fruit; the first of several with the same keeps it."""
     found = np.array([item.get("id", 0) for item in items], np.int64)
     first = np.zeros(len(found), bool)
     first[np.unique(found, return_index=True)[1]] = True
-    found[~first] = next_ids(bpy_scene, int((~first).sum()))
+    found[~first] = choose_new_ids(bpy_scene, int((~first).sum()))
     return found.tolist()
 
 
-def _trees(fruits: list[Fruit]) -> list[Tree]:
+def _list_trees(fruits: list[Fruit]) -> list[Tree]:
     from ...engine.counting.fruit import Tree
 
     trees = []
@@ -112,5 +112,5 @@ def _trees(fruits: list[Fruit]) -> list[Tree]:
 
 def _gaussian_attribute(bpy_scene: bpy.types.Scene, name: str, kind: type) -> NDArray[Any]:
     """(N,) an attribute of the Gaussians; empty if it is missing."""
-    found = gaussian_attributes(bpy_scene, name)
+    found = read_gaussian_attributes(bpy_scene, name)
     return np.zeros(0, kind) if found is None else found[0]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.errors import FormatError
-from ..blender_data import get_attribute, owned_object, point_positions, srgb_from_linear
+from ..blender_data import find_owned_object, get_attribute, point_positions, srgb_from_linear
 from ..viewport.splats import ANTIALIASED
 from .write_gaussians import INDEX, NUMBER
 
@@ -70,9 +70,9 @@ class Edits:
         return ", ".join(f"{count:,} {verb}" for count, verb in counts if count)
 
 
-def deleted_gaussians(bpy_scene: bpy.types.Scene) -> int:
-    """How many of the Gaussians that were written the user has deleted; 0 in a file of an earlier version."""
-    item = owned_object(bpy_scene, "gaussians")
+def count_deleted_gaussians(bpy_scene: bpy.types.Scene) -> int:
+    """Count the Gaussians that were written and that the user has deleted; 0 in a file of an earlier version."""
+    item = find_owned_object(bpy_scene, "gaussians")
     mesh = None if item is None or item.mode == "EDIT" else item.data
     if mesh is None or NUMBER not in mesh or INDEX not in mesh.attributes or mesh[NUMBER] == len(mesh.vertices):
         return 0
@@ -86,13 +86,13 @@ def gaussian_indices(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 def edits_of(bpy_scene: bpy.types.Scene, means: NDArray[np.float32]) -> Edits:
     """The user's edits of Gaussians that are written again at means (N, 3)."""
-    stays = unmoved(bpy_scene, means)
-    return Edits(deleted_gaussians(bpy_scene), 0 if stays is None else int((~stays).sum()))
+    stays = find_unmoved(bpy_scene, means)
+    return Edits(count_deleted_gaussians(bpy_scene), 0 if stays is None else int((~stays).sum()))
 
 
-def unmoved(bpy_scene: bpy.types.Scene, means: NDArray[np.float32]) -> NDArray[np.bool_] | None:
-    """(M,) whether each shown Gaussian is where means (N, 3) has it; None if they are other Gaussians."""
-    item = owned_object(bpy_scene, "gaussians")
+def find_unmoved(bpy_scene: bpy.types.Scene, means: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """Find (M,) whether each shown Gaussian is where means (N, 3) has it; None if they are other Gaussians."""
+    item = find_owned_object(bpy_scene, "gaussians")
     mesh = None if item is None or item.mode == "EDIT" else item.data
     if mesh is None or mesh.get(NUMBER, len(mesh.vertices)) != len(means) or not len(mesh.vertices):
         return None
@@ -107,7 +107,7 @@ def read_gaussians(bpy_scene: bpy.types.Scene) -> StoredGaussians | None:
         FormatError: the object is being edited, or an attribute was removed.
         SceneError: the Gaussians were moved within the mesh.
     """
-    item = owned_object(bpy_scene, "gaussians")
+    item = find_owned_object(bpy_scene, "gaussians")
     if item is None:
         return None
     if item.mode == "EDIT":

@@ -29,11 +29,11 @@ def write_audit(bpy_scene: bpy.types.Scene, audit: Sequence[AuditEntry]) -> None
 
 def read_audit(bpy_scene: bpy.types.Scene) -> list[AuditEntry]:
     """The entries of the shown count, largest first; none if the .blend has no audit."""
-    return list(_entries(bpy_scene.get(AUDIT, "[]")))
+    return list(_parse_entries(bpy_scene.get(AUDIT, "[]")))
 
 
 @lru_cache(maxsize=2)  # a panel needs it at every redraw
-def _entries(text: str) -> tuple[AuditEntry, ...]:
+def _parse_entries(text: str) -> tuple[AuditEntry, ...]:
     from ...engine.counting.fruit import AuditEntry
 
     return tuple(
@@ -42,6 +42,6 @@ def _entries(text: str) -> tuple[AuditEntry, ...]:
     )
 
 
-def about_fruit(audit: Sequence[AuditEntry], number: int) -> list[AuditEntry]:
-    """The entries that name the fruit of that id: its own cluster first, then those merged into it."""
+def select_about_fruit(audit: Sequence[AuditEntry], number: int) -> list[AuditEntry]:
+    """Select the entries that name the fruit of that id: its own cluster first, then those merged into it."""
     return sorted((entry for entry in audit if number in entry.fruit_ids), key=lambda entry: entry.verdict == "merged")

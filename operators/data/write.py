@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ...engine.errors import OutputError
 from ...engine.storage.files import replace_file
-from ..blender_data import OWNER, new_object, owned_collection, owned_objects
+from ..blender_data import OWNER, ensure_owned_collection, find_owned_objects, make_object
 from ..settings.panel_state import PanelState, store_panel
-from ..settings.settings import PHOTO_FILE, relative_path
+from ..settings.settings import PHOTO_FILE, make_relative_path
 from ..viewport.appearance import set_threshold
 from ..viewport.gaussian_nodes import THRESHOLD
 from ..viewport.viewport import look_at_scene, show_colors
@@ -50,7 +50,7 @@ def write_result(
 
     Everything from an earlier call is replaced; other data are not changed. Coordinates below the root are those of the
     input scene (see `write_root`). probability: (N,) of the prompt for each Gaussian; asked: the prompt, of
-    `asked_words`.
+    `join_asked_words`.
     """
     root = write_root(bpy_scene, scene)
     write_gaussians(bpy_scene, scene, gaussians, probability, fruit_count.fruits, root, asked)
@@ -77,7 +77,7 @@ def write_blend(
 
     For the command line: it starts from an empty file, so it refuses to run in a window. The file is written completely
     or not at all, and no .blend1 is left. set_id names the set of result files it belongs to (see `fruits.json`); it
-    becomes the scene's custom property `fruitlangs_set_id`. asked: the prompt, from `asked_words`; threshold:
+    becomes the scene's custom property `fruitlangs_set_id`. asked: the prompt, from `join_asked_words`; threshold:
     probability above which Gaussians are highlighted; folder: where the file is moved to later, None for where it is
     written; the photos are found from there; panel: what the extension's panel shows when it opens the file.
 
@@ -97,9 +97,9 @@ def write_blend(
     look_at_scene(bpy.data.screens, bpy_scene)
     if set_id:
         bpy_scene[SET_ID] = set_id
-    for item in owned_objects(bpy_scene, "camera"):
+    for item in find_owned_objects(bpy_scene, "camera"):
         if PHOTO_FILE in item:
-            item[PHOTO_FILE] = relative_path(Path(item[PHOTO_FILE]), (folder or path.parent).absolute())
+            item[PHOTO_FILE] = make_relative_path(Path(item[PHOTO_FILE]), (folder or path.parent).absolute())
     if panel is not None:
         store_panel(bpy_scene, panel)
     save_blend(path)
@@ -109,7 +109,7 @@ def light_scene(bpy_scene: bpy.types.Scene, root: bpy.types.Object) -> None:
     """Add a sun, a grey sky and plain colour management, so that a render shows the attributes."""
     sun = bpy.data.lights.new("Sun", "SUN")
     sun.energy, sun.angle = 2.5, 0.1
-    item = new_object("Sun", sun, "light", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
+    item = make_object("Sun", sun, "light", ensure_owned_collection(bpy_scene, "scene", "FruitLangs"), None)
     item.rotation_euler = (0.6, 0.3, 0.0)
     item.location = (0.0, 0.0, 40.0 * root.empty_display_size)
     world = bpy.data.worlds.new("Sky")
@@ -129,14 +129,14 @@ def save_blend(path: Path) -> None:
     """
     with replace_file(path) as part:
         try:
-            with _quiet():
+            with _silence():
                 bpy.ops.wm.save_as_mainfile(filepath=str(part), copy=True, check_existing=False, compress=True)
         except RuntimeError as error:  # Blender's error for a file that cannot be saved
             raise OutputError(f"{path} cannot be written ({str(error).strip()}). Choose another folder") from error
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence() -> Iterator[None]:
     """Suppress Blender's message "Saved copy as" with the temporary name, which would mislead.
 
     Blender prints through C's buffer, which is flushed before and after; otherwise the message would appear later.

@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..blender_data import new_object, original, owned_collection, owned_objects, remove_objects
-from ..scene_frame import in_world, keep_pose
+from ..blender_data import ensure_owned_collection, find_original, find_owned_objects, make_object, remove_objects
+from ..scene_frame import find_world_matrix, keep_pose
 from .photo_files import ASPECT, FILE, LENS, PHOTO, SIZE, keep_photo, remove_backgrounds
-from .write_root import looked_at
+from .write_root import find_focus
 
 if TYPE_CHECKING:
     from ...engine.scene.camera import Camera, FloatArray, Photo, Scene
@@ -31,40 +31,41 @@ def write_cameras(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Obje
 
     A camera is named after its photo and stores in custom properties what is needed to show it (see `photo_files`).
     """
-    earlier = _by_photo(owned_objects(bpy_scene, "camera"))
+    earlier = _map_by_photo(find_owned_objects(bpy_scene, "camera"))
     # A scene read from a result whose photos are missing has cameras only.
     names = [photo.name for photo in scene.images] or [f"view {index + 1:03d}" for index in range(len(scene.cameras))]
     photos: list[Photo | None] = [*scene.images] or [None] * len(scene.cameras)
     objects = []
     for camera, photo, name in zip(scene.cameras, photos, names, strict=True):
-        item = earlier.pop(name, None) or _new_camera(bpy_scene, scene, name, root)
+        item = earlier.pop(name, None) or _make_camera(bpy_scene, scene, name, root)
         _write_camera(bpy_scene, item, camera, photo, root)
         objects.append(item)
     remove_backgrounds(earlier.values())
     remove_objects(earlier.values())
     if objects and bpy_scene.camera is None:
-        show_through(bpy_scene, objects[middle_view(scene)])
+        show_through(bpy_scene, objects[find_middle_view(scene)])
     return objects
 
 
-def _by_photo(items: Iterable[bpy.types.Object]) -> dict[str, bpy.types.Object]:
-    """{photo: its camera}, without a photo by the name of the camera; copies of a camera are left to the user."""
+def _map_by_photo(items: Iterable[bpy.types.Object]) -> dict[str, bpy.types.Object]:
+    """Return {photo: its camera}, without a photo by the name of the camera; copies of a camera are left to the
+    user."""
     same: dict[str, list[bpy.types.Object]] = {}
     for item in items:
         same.setdefault(item.get(PHOTO) or item.name, []).append(item)
-    found = {name: original(cameras) for name, cameras in same.items()}
+    found = {name: find_original(cameras) for name, cameras in same.items()}
     return {name: item for name, item in found.items() if item is not None}
 
 
-def _new_camera(bpy_scene: bpy.types.Scene, scene: Scene, name: str, root: bpy.types.Object) -> bpy.types.Object:
+def _make_camera(bpy_scene: bpy.types.Scene, scene: Scene, name: str, root: bpy.types.Object) -> bpy.types.Object:
     data = bpy.data.cameras.new(PurePath(name).name)
     size = 0.04 * scene.extent
     data.display_size = size
     # Unlike everything else below the root, clipping is in world units.
-    scale = float(abs(in_world(root).to_3x3().determinant()) ** (1.0 / 3.0))
+    scale = float(abs(find_world_matrix(root).to_3x3().determinant()) ** (1.0 / 3.0))
     data.clip_start, data.clip_end = 0.01 * size * scale, 1000.0 * max(size * scale, 1.0)
-    collection = owned_collection(bpy_scene, "cameras", "Cameras")
-    return new_object(PurePath(name).stem, data, "camera", collection, root)
+    collection = ensure_owned_collection(bpy_scene, "cameras", "Cameras")
+    return make_object(PurePath(name).stem, data, "camera", collection, root)
 
 
 def _write_camera(
@@ -84,10 +85,10 @@ def _write_camera(
         show_through(bpy_scene, item)
 
 
-def middle_view(scene: Scene) -> int:
-    """The number of the camera to begin with: the middle one of those that show the middle of the scene in the inner
-    half of their photos, of all if none does. Half-way along a row and back, photos show its end."""
-    middle = np.median(scene.points, axis=0) if len(scene.points) else looked_at(scene)
+def find_middle_view(scene: Scene) -> int:
+    """Find the number of the camera to begin with: the middle one of those that show the middle of the scene in the
+    inner half of their photos, of all if none does. Half-way along a row and back, photos show its end."""
+    middle = np.median(scene.points, axis=0) if len(scene.points) else find_focus(scene)
     shows = []
     for number, camera in enumerate(scene.cameras):
         pixel, depth = camera.project(middle)

@@ -14,14 +14,14 @@ from mathutils import Matrix
 from ...engine.report.words import fruit_name
 from ..blender_data import (
     OWNER,
-    local_collections,
-    new_object,
-    owned_collection,
-    owned_objects,
+    ensure_owned_collection,
+    find_owned_objects,
+    find_unlinked_fruit,
+    list_local_collections,
+    make_object,
     remove_objects,
-    unlinked_fruit,
 )
-from ..scene_frame import SceneFrame, keep_pose, stored_pose
+from ..scene_frame import SceneFrame, keep_pose, read_stored_pose
 from ..viewport.fruit_colours import colour_fruit
 from .fruit_shape import is_unit_sphere
 
@@ -60,17 +60,19 @@ def write_fruits(
     color and kind; if known also diameter_sd (in the same unit), visible_fraction, fallen and tree. The fruit of a tree
     of a row are also in a collection of their own.
     """
-    earlier = owned_objects(bpy_scene, "fruit")
-    again = _used_again(earlier, fruit_count.fruits)
-    meshes = {label: _sphere_like(label, earlier) for label in sorted({fruit.label for fruit in fruit_count.fruits})}
+    earlier = find_owned_objects(bpy_scene, "fruit")
+    again = _find_reused(earlier, fruit_count.fruits)
+    meshes = {
+        label: _make_sphere_like(label, earlier) for label in sorted({fruit.label for fruit in fruit_count.fruits})
+    }
     kept = set(again.values())
-    remove_objects([*(item for item in earlier if item not in kept), *unlinked_fruit(root)])
-    frame, collection = SceneFrame(root, Matrix()), owned_collection(bpy_scene, "fruits", "Fruits")
+    remove_objects([*(item for item in earlier if item not in kept), *find_unlinked_fruit(root)])
+    frame, collection = SceneFrame(root, Matrix()), ensure_owned_collection(bpy_scene, "fruits", "Fruits")
     items = []
     for fruit in fruit_count.fruits:
         item = again.get(fruit.id)
         if item is None:
-            item = _new_fruit(bpy_scene, fruit, collection, meshes)
+            item = _make_fruit(bpy_scene, fruit, collection, meshes)
         else:
             _forget(item)
             _show_sphere(item, meshes[fruit.label])
@@ -79,9 +81,9 @@ def write_fruits(
     return items
 
 
-def _sphere_like(label: str, earlier: Sequence[bpy.types.Object]) -> bpy.types.Mesh:
-    """A new sphere, with the materials of the earlier fruit of that label."""
-    mesh = _unit_sphere(label)
+def _make_sphere_like(label: str, earlier: Sequence[bpy.types.Object]) -> bpy.types.Mesh:
+    """Make a new sphere, with the materials of the earlier fruit of that label."""
+    mesh = _make_unit_sphere(label)
     old = next((item.data for item in earlier if item.get("label") == label), None)
     if old is not None:
         mesh.materials.clear()
@@ -90,14 +92,14 @@ def _sphere_like(label: str, earlier: Sequence[bpy.types.Object]) -> bpy.types.M
     return mesh
 
 
-def _used_again(earlier: Sequence[bpy.types.Object], fruits: Sequence[Fruit]) -> dict[int, bpy.types.Object]:
-    """{id: object} of the fruit that an earlier count found too: number, label and position are the same."""
+def _find_reused(earlier: Sequence[bpy.types.Object], fruits: Sequence[Fruit]) -> dict[int, bpy.types.Object]:
+    """Return {id: object} of the fruit that an earlier count found too: number, label and position are the same."""
     from ...engine.counting.fruit import NEAR
 
     named, found = {(item.get("id"), item.get("label")): item for item in earlier}, dict[int, bpy.types.Object]()
     for fruit in fruits:
         item = named.get((fruit.id, fruit.label))
-        pose = None if item is None else stored_pose(item)
+        pose = None if item is None else read_stored_pose(item)
         away = np.inf if pose is None else float(np.linalg.norm(pose[:3, 3] - fruit.center))
         if item is not None and away <= NEAR * fruit.diameter:
             found[fruit.id] = item
@@ -115,7 +117,7 @@ def _forget(item: bpy.types.Object) -> None:
 def _clean(bpy_scene: bpy.types.Scene, meshes: Mapping[str, bpy.types.Mesh]) -> None:
     """Delete the collections of trees without fruit, and give new meshes the names of those that they replaced."""
     for role in ("tree", "trees"):
-        for each in [each for each in local_collections(bpy_scene) if each.get(OWNER) == role]:
+        for each in [each for each in list_local_collections(bpy_scene) if each.get(OWNER) == role]:
             if not len(each.objects) and not len(each.children):
                 bpy.data.collections.remove(each)
     for label, mesh in meshes.items():
@@ -134,10 +136,10 @@ def write_fruit(
 ) -> bpy.types.Object:
     """Add one fruit object to the existing ones, as `write_fruits` creates them, also where the root's transform was
     applied."""
-    others = owned_objects(bpy_scene, "fruit")
+    others = find_owned_objects(bpy_scene, "fruit")
     meshes = {item["label"]: item.data for item in others if "label" in item and is_unit_sphere(item)}
-    collection = owned_collection(bpy_scene, "fruits", "Fruits")
-    item = _new_fruit(bpy_scene, fruit, collection, meshes)
+    collection = ensure_owned_collection(bpy_scene, "fruits", "Fruits")
+    item = _make_fruit(bpy_scene, fruit, collection, meshes)
     return _write(bpy_scene, item, fruit, frame, collection, metres_per_unit)
 
 
@@ -146,20 +148,20 @@ def label_fruit(item: bpy.types.Object, label: str, bpy_scene: bpy.types.Scene) 
     Apply Transform, stays."""
     if is_unit_sphere(item):
         old = item.data
-        others = (each for each in owned_objects(bpy_scene, "fruit") if each.get("label") == label)
-        item.data = next((each.data for each in others if is_unit_sphere(each)), None) or _unit_sphere(label)
+        others = (each for each in find_owned_objects(bpy_scene, "fruit") if each.get("label") == label)
+        item.data = next((each.data for each in others if is_unit_sphere(each)), None) or _make_unit_sphere(label)
         if old.users == 0:
             bpy.data.meshes.remove(old)
     item["label"] = label
-    item.name = _name(label, item["id"], bpy_scene, item)
+    item.name = _choose_name(label, item["id"], bpy_scene, item)
     colour_fruit(item)
 
 
-def _new_fruit(
+def _make_fruit(
     bpy_scene: bpy.types.Scene, fruit: Fruit, collection: bpy.types.Collection, meshes: dict[str, bpy.types.Mesh]
 ) -> bpy.types.Object:
-    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _unit_sphere(fruit.label))
-    return new_object(_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, None)
+    mesh = meshes.get(fruit.label) or meshes.setdefault(fruit.label, _make_unit_sphere(fruit.label))
+    return make_object(_choose_name(fruit.label, fruit.id, bpy_scene), mesh, "fruit", collection, None)
 
 
 def _write(
@@ -193,7 +195,7 @@ def put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
             each.objects.unlink(item)
     if TREE not in item:
         return
-    trees, name = owned_collection(bpy_scene, "trees", "Trees"), f"Tree {item['tree']}"
+    trees, name = ensure_owned_collection(bpy_scene, "trees", "Trees"), f"Tree {item['tree']}"
     own = next((each for each in trees.children if each.get(TREE) == item["tree"]), None)
     if own is None:
         own = bpy.data.collections.new(name)
@@ -203,8 +205,8 @@ def put_on_tree(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> None:
         own.objects.link(item)
 
 
-def _name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:
-    """The name of a fruit; `own` if it already has it."""
+def _choose_name(label: str, number: int, bpy_scene: bpy.types.Scene, own: bpy.types.Object | None = None) -> str:
+    """Choose the name of a fruit; `own` if it already has it."""
     name = fruit_name(label, number)
     # Taken by another Blender scene's fruit or by the user: Blender would continue numbering with another fruit's id.
     return name if bpy.data.objects.get(name) in (None, own) else f"{bpy_scene.name} {name}"
@@ -244,25 +246,26 @@ def set_unit(item: bpy.types.Object, metres_per_unit: float | None) -> None:
         item.id_properties_ui(key).update(min=0.0, description="Metres" if metres_per_unit else "Scene units")
 
 
-def _unit_sphere(label: str) -> bpy.types.Mesh:
-    """A smooth sphere of diameter 1, so that the scale of an object is its length, width and thickness."""
+def _make_unit_sphere(label: str) -> bpy.types.Mesh:
+    """Make a smooth sphere of diameter 1, so that the scale of an object is its length, width and thickness."""
     mesh = bpy.data.meshes.new(label)
     shape = bmesh.new()
     bmesh.ops.create_icosphere(shape, subdivisions=3, radius=0.5)
     shape.to_mesh(mesh)
     shape.free()
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
-    mesh.materials.append(_fruit_material())
+    mesh.materials.append(_ensure_fruit_material())
     return mesh
 
 
-def _fruit_material() -> bpy.types.Material:
-    """The material of fruit, in the colour of the object."""
-    return matt_material("Fruit", "fruit", lambda tree: tree.nodes.new("ShaderNodeObjectInfo"))
+def _ensure_fruit_material() -> bpy.types.Material:
+    """Return the material of fruit, in the colour of the object."""
+    return ensure_matt_material("Fruit", "fruit", lambda tree: tree.nodes.new("ShaderNodeObjectInfo"))
 
 
-def matt_material(name: str, role: str, color: Callable[[bpy.types.NodeTree], Any]) -> bpy.types.Material:
-    """Our matt material with that role, made if this file has none; color: adds the node whose Color it shows."""
+def ensure_matt_material(name: str, role: str, color: Callable[[bpy.types.NodeTree], Any]) -> bpy.types.Material:
+    """Return our matt material with that role, made if this file has none; color: adds the node whose Color it
+    shows."""
     for material in bpy.data.materials:
         if material.get(OWNER) == role:
             return material

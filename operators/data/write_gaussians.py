@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 
 from ..blender_data import (
     adopt,
-    array,
+    ensure_owned_collection,
+    find_original,
+    find_owned_objects,
     linear_from_srgb,
-    new_object,
-    original,
-    owned_collection,
-    owned_objects,
-    point_mesh,
+    make_object,
+    make_point_mesh,
     replace_mesh,
     rgba,
     set_attribute,
+    to_array,
 )
 from ..viewport.gaussian_nodes import gaussian_node_group, set_input
 from ..viewport.splats import ANTIALIASED
-from .write_root import looked_at
+from .write_root import find_focus
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ...engine.splatting.gaussians import Gaussians
 
 ASKED = "fruitlangs_asked"
-"""Custom property of the mesh: the prompt of its attribute `probability`, from `asked_words`."""
+"""Custom property of the mesh: the prompt of its attribute `probability`, from `join_asked_words`."""
 INDEX, NUMBER = "gaussian_index", "fruitlangs_number"
 """Attribute and custom property of the mesh: the number of each Gaussian in the reconstruction, and of all of them."""
 REACH = 1.2
@@ -61,19 +61,22 @@ def write_gaussians(
     """Create this Blender scene's Gaussian object, or replace the mesh of the existing one.
 
     Gaussians outside the cameras' ring (sky, distant background) are hidden by the modifier's Reach, but stay in the
-    mesh. asked: the prompt of the probability, from `asked_words`.
+    mesh. asked: the prompt of the probability, from `join_asked_words`.
     """
-    own, mesh = original(owned_objects(bpy_scene, "gaussians")), gaussian_mesh(gaussians, probability, fruits)
+    own, mesh = (
+        find_original(find_owned_objects(bpy_scene, "gaussians")),
+        make_gaussian_mesh(gaussians, probability, fruits),
+    )
     mesh[ASKED] = asked
     if own is not None:
         adopt(own, root)
         replace_mesh(own, mesh)
         return own
-    collection = owned_collection(bpy_scene, "scene", "FruitLangs")
-    item = new_object("Gaussians", mesh, "gaussians", collection, root)
+    collection = ensure_owned_collection(bpy_scene, "scene", "FruitLangs")
+    item = make_object("Gaussians", mesh, "gaussians", collection, root)
     modifier = item.modifiers.new("Gaussians", "NODES")
     modifier.node_group = gaussian_node_group()
-    set_input(modifier, "Centre", looked_at(scene).tolist())
+    set_input(modifier, "Centre", find_focus(scene).tolist())
     if len(scene.cameras):
         set_input(modifier, "Reach", REACH * scene.extent)
     set_input(modifier, "Highlight", probability is not None)
@@ -81,26 +84,26 @@ def write_gaussians(
     return item
 
 
-def asked_words(prompts: Sequence[str], negatives: Sequence[str]) -> str:
-    """'apple, plum | leaf': prompts and negatives."""
+def join_asked_words(prompts: Sequence[str], negatives: Sequence[str]) -> str:
+    """Return 'apple, plum | leaf': prompts and negatives."""
     return f"{', '.join(prompts)} | {', '.join(negatives)}"
 
 
-def gaussian_mesh(
+def make_gaussian_mesh(
     gaussians: Gaussians, probability: Tensor | NDArray[Any] | None, fruits: Sequence[Fruit]
 ) -> bpy.types.Mesh:
-    """Points at the means, in the scene frame, with the attributes named above."""
+    """Make points at the means, in the scene frame, with the attributes named above."""
     from ...engine.counting.fruit import member_ids
 
     count = len(gaussians)
-    mesh = point_mesh("Gaussians", array(gaussians.means))
-    quats = array(gaussians.quats)
+    mesh = make_point_mesh("Gaussians", to_array(gaussians.means))
+    quats = to_array(gaussians.quats)
     quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
-    set_attribute(mesh, "scale", "FLOAT_VECTOR", array(gaussians.scales))
+    set_attribute(mesh, "scale", "FLOAT_VECTOR", to_array(gaussians.scales))
     set_attribute(mesh, "quaternion", "QUATERNION", quats)
-    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(array(gaussians.base_colors))))
-    set_attribute(mesh, "opacity", "FLOAT", array(gaussians.opacities))
-    set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else array(probability))
+    set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(to_array(gaussians.base_colors))))
+    set_attribute(mesh, "opacity", "FLOAT", to_array(gaussians.opacities))
+    set_attribute(mesh, "probability", "FLOAT", np.zeros(count) if probability is None else to_array(probability))
     set_attribute(mesh, "fruit_id", "INT", member_ids(count, fruits))
     set_attribute(mesh, INDEX, "INT", np.arange(count))
     mesh[NUMBER] = count

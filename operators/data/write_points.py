@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ..blender_data import (
     adopt,
+    ensure_owned_collection,
+    find_original,
+    find_owned_objects,
     linear_from_srgb,
-    new_object,
-    original,
-    owned_collection,
-    owned_objects,
-    point_mesh,
+    make_object,
+    make_point_mesh,
     replace_mesh,
     rgba,
     set_attribute,
@@ -32,20 +32,20 @@ RADIUS = 0.003
 def write_points(bpy_scene: bpy.types.Scene, scene: Scene, root: bpy.types.Object) -> bpy.types.Object:
     """Create this Blender scene's sparse cloud, points with their linear colour in `radiance:base`, or replace the mesh
     of the existing one."""
-    own = original(owned_objects(bpy_scene, "points"))
-    mesh = colored_points("Sparse points", scene.points, scene.colors / 255.0)
+    own = find_original(find_owned_objects(bpy_scene, "points"))
+    mesh = make_colored_points("Sparse points", scene.points, scene.colors / 255.0)
     if own is not None:
         adopt(own, root)
         replace_mesh(own, mesh)
         return own
-    item = new_object("Sparse points", mesh, "points", owned_collection(bpy_scene, "scene", "FruitLangs"), root)
+    item = make_object("Sparse points", mesh, "points", ensure_owned_collection(bpy_scene, "scene", "FruitLangs"), root)
     show_points(item, RADIUS * scene.extent if len(scene.cameras) else RADIUS)
     return item
 
 
-def colored_points(name: str, positions: NDArray[Any], srgb: NDArray[Any]) -> bpy.types.Mesh:
-    """A mesh of points at positions (N, 3) with their linear colour in `radiance:base`; srgb: (N, 3), 0 to 1."""
-    mesh = point_mesh(name, positions)
+def make_colored_points(name: str, positions: NDArray[Any], srgb: NDArray[Any]) -> bpy.types.Mesh:
+    """Make a mesh of points at positions (N, 3) with their linear colour in `radiance:base`; srgb: (N, 3), 0 to 1."""
+    mesh = make_point_mesh(name, positions)
     set_attribute(mesh, "radiance:base", "FLOAT_COLOR", rgba(linear_from_srgb(srgb)))
     mesh.update()
     return mesh
@@ -60,7 +60,7 @@ def show_points(item: bpy.types.Object, radius: float) -> None:
 
 def hide_points(bpy_scene: bpy.types.Scene) -> None:
     """Hide the sparse cloud in viewport and renders, because Gaussians show the same."""
-    for item in owned_objects(bpy_scene, "points"):
+    for item in find_owned_objects(bpy_scene, "points"):
         item.hide_render = True
         for view_layer in bpy_scene.view_layers:
             with suppress(RuntimeError):  # this view layer excludes it

@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...engine.errors import SceneError
-from ..blender_data import OWNER, Role, new_object, owned_collection, owned_object, owned_objects
+from ..blender_data import OWNER, Role, ensure_owned_collection, find_owned_object, find_owned_objects, make_object
 from ..root_placement import place_root, placement_of, root_frame
 from ..scene_frame import SceneFrame, scene_frame
 
@@ -39,10 +39,10 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
     The user's placement of an existing root stays (see `root_placement`). What stays below it keeps its place in the
     scene frame, also where the old root's transform was applied.
     """
-    kept, frame = _places(bpy_scene), root_frame(bpy_scene)
-    root = owned_object(bpy_scene, "root")
+    kept, frame = _find_displaced(bpy_scene), root_frame(bpy_scene)
+    root = find_owned_object(bpy_scene, "root")
     if root is None:
-        root = new_object("FruitLangs", None, "root", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
+        root = make_object("FruitLangs", None, "root", ensure_owned_collection(bpy_scene, "scene", "FruitLangs"), None)
         root.empty_display_type = "PLAIN_AXES"
     root.empty_display_size = 0.05 * scene.extent if len(scene.cameras) else 1.0
     _scale_clipping(bpy_scene, (scene.metres_per_unit or 1.0) / (float(root.get(METRES, 0.0)) or 1.0))
@@ -58,16 +58,16 @@ def write_root(bpy_scene: bpy.types.Scene, scene: Scene) -> bpy.types.Object:
 
 def _scale_clipping(bpy_scene: bpy.types.Scene, ratio: float) -> None:
     """Scale the clipping of cameras that are used again: unlike everything else below the root it is in world units."""
-    for item in owned_objects(bpy_scene, "camera") if ratio != 1.0 else ():
+    for item in find_owned_objects(bpy_scene, "camera") if ratio != 1.0 else ():
         item.data.clip_start *= ratio
         item.data.clip_end *= ratio
 
 
-def _places(bpy_scene: bpy.types.Scene) -> dict[bpy.types.Object, Matrix]:
-    """{object of ours: its transform in the scene frame} of those that an applied or cleared root displaced."""
+def _find_displaced(bpy_scene: bpy.types.Scene) -> dict[bpy.types.Object, Matrix]:
+    """Return {object of ours: its transform in the scene frame} of those that an applied or cleared root displaced."""
     try:
         frame = scene_frame(bpy_scene)
-        items = [item for role in BELOW for item in owned_objects(bpy_scene, role)]
+        items = [item for role in BELOW for item in find_owned_objects(bpy_scene, role)]
         displaced = (item for item in items if item.parent != frame.root or frame.in_root != Matrix())
         return {item: frame.of(item) for item in displaced}
     except SceneError:  # there is no root yet, or nothing is known about where they are
@@ -85,19 +85,20 @@ def _put_below(item: bpy.types.Object, root: bpy.types.Object, place: Matrix) ->
 
 def root_matrix(scene: Scene, ground: Sequence[float] | None = None) -> Matrix:
     """The matrix of the root for `scene`; ground: a point that the user picked, in its frame."""
-    matrix = upright_matrix(scene)
+    matrix = compute_upright_matrix(scene)
     if ground is not None:
         matrix[2, 3] = -matrix[2, :3] @ np.array(ground)
     return Matrix.Scale(scene.metres_per_unit or 1.0, 4) @ Matrix(matrix.tolist())
 
 
-def upright_matrix(scene: Scene) -> FloatArray:
-    """(4, 4) rigid transform from the scene frame to an upright one: centre over the origin, ground at z = 0."""
+def compute_upright_matrix(scene: Scene) -> FloatArray:
+    """Compute the rigid transform (4, 4) from the scene frame to an upright one: centre over the origin, ground at z =
+    0."""
     from ...engine.scene.orientation import upright_rotation
 
     matrix = np.eye(4)
     matrix[:3, :3] = upright_rotation(scene.up)
-    center = matrix[:3, :3] @ looked_at(scene)
+    center = matrix[:3, :3] @ find_focus(scene)
     points = scene.points @ matrix[:3, :3].T
     if len(points):
         reach = 1.5 * scene.extent if len(scene.cameras) else np.inf
@@ -107,8 +108,8 @@ def upright_matrix(scene: Scene) -> FloatArray:
     return matrix
 
 
-def looked_at(scene: Scene) -> FloatArray:
-    """(3,) the point nearest to all viewing rays by least squares; the median of the points if the rays are
+def find_focus(scene: Scene) -> FloatArray:
+    """Find the point (3,) nearest to all viewing rays by least squares; the median of the points if the rays are
     parallel."""
     from ...engine.scene.camera import axes_equations
 

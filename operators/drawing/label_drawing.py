@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.fruit_objects import diameter_text, metres_per_unit, standing
+from ..data.fruit_objects import diameter_text, list_counted_fruit, metres_per_unit
 from ..viewport.viewport import Drawing
 
 FONT, POINTS, BLUR = 0, 12.0, 5
@@ -47,8 +47,8 @@ def project(
     return (0.5 * flat + 0.5) * [width, height], w[:, 0] + seen[:, 2]
 
 
-def uncovered(boxes: NDArray[np.float64]) -> list[int]:
-    """Which of boxes (N, 4) of x, y, width, height cover none of the earlier ones that stay, in order."""
+def select_uncovered(boxes: NDArray[np.float64]) -> list[int]:
+    """Select which of boxes (N, 4) of x, y, width, height cover none of the earlier ones that stay, in order."""
     low, high = boxes[:, :2], boxes[:, :2] + boxes[:, 2:]
     covers, kept = np.zeros(len(boxes), bool), []
     for index in range(len(boxes)):
@@ -59,18 +59,18 @@ def uncovered(boxes: NDArray[np.float64]) -> list[int]:
     return kept
 
 
-def labelled(context: bpy.types.Context, kind: str) -> list[bpy.types.Object]:
-    """The labelled fruit: those that count and that this viewport shows; only the active one for 'NONE'."""
-    shown = [item for item in standing(context.scene) if item.visible_get(viewport=context.space_data)]
+def list_labelled(context: bpy.types.Context, kind: str) -> list[bpy.types.Object]:
+    """List the labelled fruit: those that count and that this viewport shows; only the active one for 'NONE'."""
+    shown = [item for item in list_counted_fruit(context.scene) if item.visible_get(viewport=context.space_data)]
     if kind != "NONE":
         return shown
     return [item for item in shown if item == context.view_layer.objects.active]
 
 
-def label_places(
+def find_label_places(
     context: bpy.types.Context, items: Sequence[bpy.types.Object], texts: Sequence[str]
 ) -> list[tuple[int, NDArray[np.float64]]]:
-    """Index and position (2,) in the region, left and middle, of the labels.
+    """Find index and position (2,) in the region, left and middle, of the labels.
 
     The active fruit comes first, then the nearest; a label that would cover an earlier one is left out.
     """
@@ -85,7 +85,7 @@ def label_places(
     order = np.lexsort((depths, np.array([item != active for item in items])))
     order = order[np.isfinite(pixels[order, 1])]
     sizes = np.array([blf.dimensions(FONT, texts[index]) for index in order]).reshape(-1, 2)
-    kept = uncovered(np.concatenate([pixels[order], sizes], axis=1))
+    kept = select_uncovered(np.concatenate([pixels[order], sizes], axis=1))
     return [(int(index), pixels[index]) for index in order[kept]]
 
 
@@ -97,7 +97,7 @@ def _draw() -> None:
     kind = context.scene.fruitlangs.review.labels
     if kind == "NONE" and context.region_data.view_perspective != "CAMERA":
         return
-    items = labelled(context, kind) if context.space_data.overlay.show_overlays else []
+    items = list_labelled(context, kind) if context.space_data.overlay.show_overlays else []
     if items:
         _write(context, items, "NUMBER" if kind == "NONE" else kind)
 
@@ -110,7 +110,7 @@ def _write(context: bpy.types.Context, items: Sequence[bpy.types.Object], kind: 
     blf.enable(FONT, blf.SHADOW)
     blf.shadow(FONT, BLUR, *SHADOW)
     blf.shadow_offset(FONT, 1, -1)
-    for index, (x, y) in label_places(context, items, texts):
+    for index, (x, y) in find_label_places(context, items, texts):
         blf.color(FONT, *(ACTIVE_COLOR if items[index] == active else COLOR))
         blf.position(FONT, float(x), float(y) - middle, 0.0)
         blf.draw(FONT, texts[index])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import blf
 import bpy
 
-from ..blender_data import owned_object
+from ..blender_data import find_owned_object
 from ..data.write_gaussians import ASKED
 from ..viewport.appearance import appearance_of
 from ..viewport.gaussian_nodes import PROBABILITY_RAMP, RAMP_START
@@ -36,7 +36,7 @@ class Legend:
 
 def legend_of(bpy_scene: bpy.types.Scene) -> Legend | None:
     """The legend of this Blender scene's viewports; None if no Gaussian is highlighted."""
-    item, look = owned_object(bpy_scene, "gaussians"), appearance_of(bpy_scene)
+    item, look = find_owned_object(bpy_scene, "gaussians"), appearance_of(bpy_scene)
     if item is None or not look.highlight or look.style == "NONE" or has_preview(bpy_scene):
         return None
     words = str(item.data.get(ASKED, "")).partition(" | ")[0]
@@ -68,7 +68,7 @@ def _write(context: bpy.types.Context, legend: Legend) -> None:
 
     scale = context.preferences.system.ui_scale
     width, height, pad = WIDTH * scale, HEIGHT * scale, PAD * scale
-    left, right = _free_span(context)
+    left, right = _find_free_span(context)
     if right - left < width + 2 * pad:
         return
     blf.size(FONT, POINTS * scale)
@@ -94,7 +94,7 @@ def _write(context: bpy.types.Context, legend: Legend) -> None:
     above, below = y + height + pad, y - line - pad
     blf.color(FONT, *INK)
     for text, place, foot in (
-        (_fitting(legend.title, width), 0.5, above),
+        (_truncate(legend.title, width), 0.5, above),
         (f"{legend.threshold:.2f}", 0.0, below),
         ("1", 1.0, below),
     ):
@@ -102,8 +102,8 @@ def _write(context: bpy.types.Context, legend: Legend) -> None:
         blf.draw(FONT, text)
 
 
-def _free_span(context: bpy.types.Context) -> tuple[float, float]:
-    """Left and right end of the width between toolbar and sidebar, pixels of the region."""
+def _find_free_span(context: bpy.types.Context) -> tuple[float, float]:
+    """Find the left and right end of the width between toolbar and sidebar, pixels of the region."""
     left, right = 0.0, float(context.region.width)
     for region in context.area.regions:
         if region.type == "TOOLS" and region.width > 1:
@@ -113,8 +113,8 @@ def _free_span(context: bpy.types.Context) -> tuple[float, float]:
     return left, right
 
 
-def _fitting(text: str, width: float) -> str:
-    """The text, truncated to that width."""
+def _truncate(text: str, width: float) -> str:
+    """Truncate the text to that width."""
     if blf.dimensions(FONT, text)[0] <= width:
         return text
     while text and blf.dimensions(FONT, text + "…")[0] > width:

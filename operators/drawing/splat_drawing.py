@@ -14,10 +14,10 @@ import bpy
 from bpy.app.handlers import persistent
 from mathutils import Matrix
 
-from ..blender_data import OWNER, owned_objects
+from ..blender_data import OWNER, find_owned_objects
 from ..photos.photo_backgrounds import photo_cover
-from ..viewport.appearance import appearance_changed, appearance_of
-from ..viewport.gaussian_nodes import get_input, shown_by
+from ..viewport.appearance import appearance_of, apply_changed_appearance
+from ..viewport.gaussian_nodes import find_modifiers, get_input
 from ..viewport.splats import Splats, splats_of_mesh, splats_of_points
 from ..viewport.viewport import Drawing, redraw_viewports
 
@@ -78,8 +78,8 @@ def has_preview(bpy_scene: bpy.types.Scene) -> bool:
     return bpy_scene.session_uid in _drawn.previews
 
 
-def problem() -> str:
-    """Why splats cannot be drawn in this session; empty if they can."""
+def explain_problem() -> str:
+    """Say why splats cannot be drawn in this session; empty if they can."""
     return _drawn.problem
 
 
@@ -90,7 +90,7 @@ def draw_viewport() -> None:
     if region is None or context.region_data is None or _drawn.problem:
         return
     try:
-        layers = _layers(bpy_scene, context.view_layer, space)
+        layers = _collect_layers(bpy_scene, context.view_layer, space)
         if layers:
             # Splats are drawn after the camera's background and would hide the photo.
             strength = 1.0 - photo_cover(space, context.region_data, bpy_scene)
@@ -112,7 +112,7 @@ def edit_appearance_soon(settings: Any, context: Any = None) -> None:
     global _drawn
     if _drawn.problem:
         _drawn = Drawn(previews=_drawn.previews)
-    appearance_changed(settings, context)
+    apply_changed_appearance(settings, context)
 
 
 _drawing = Drawing(draw_viewport, "POST_VIEW")
@@ -141,14 +141,14 @@ def _draw(
             textures.orders.pop(oldest, None)
 
 
-def _layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatTextures, Matrix]]:
-    """Textures and matrices of what is drawn."""
+def _collect_layers(bpy_scene: Any, view_layer: Any, space: Any) -> list[tuple[SplatTextures, Matrix]]:
+    """Collect textures and matrices of what is drawn."""
     preview = _drawn.previews.get(bpy_scene.session_uid)
     if preview is not None:
         return [(_preview_textures(bpy_scene.session_uid, preview), preview.matrix)]
     if appearance_of(bpy_scene).style != "SPLATS":
         return []
-    items = [*owned_objects(bpy_scene, "points"), *owned_objects(bpy_scene, "gaussians")]
+    items = [*find_owned_objects(bpy_scene, "points"), *find_owned_objects(bpy_scene, "gaussians")]
     visible = [item for item in items if item.visible_get(view_layer=view_layer, viewport=space)]
     found = [(_mesh_textures(item), item.matrix_world.copy()) for item in visible]
     return [(textures, matrix) for textures, matrix in found if textures is not None]
@@ -169,7 +169,7 @@ def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
     """An object's splats on the card, read again if its mesh changed; unchanged while it is edited."""
     from .splat_textures import SplatTextures
 
-    uid, (centre, reach) = item.data.session_uid, _room(item)
+    uid, (centre, reach) = item.data.session_uid, _read_extent(item)
     textures = _drawn.meshes.get(uid)
     if textures is None or uid in _drawn.stale:
         splats = _read(item)
@@ -185,16 +185,16 @@ def _mesh_textures(item: bpy.types.Object) -> SplatTextures | None:
     return textures
 
 
-def _room(item: bpy.types.Object) -> tuple[tuple[float, ...], float]:
-    """Centre and reach of what is shown of an object."""
-    modifiers = [] if item[OWNER] == "points" else shown_by(item)
+def _read_extent(item: bpy.types.Object) -> tuple[tuple[float, ...], float]:
+    """Read centre and reach of what is shown of an object."""
+    modifiers = [] if item[OWNER] == "points" else find_modifiers(item)
     return (get_input(modifiers[0], "Centre"), get_input(modifiers[0], "Reach")) if modifiers else EVERYWHERE
 
 
 def _read(item: bpy.types.Object) -> Splats | None:
     if item[OWNER] != "points":
         return splats_of_mesh(item.data)
-    modifiers = shown_by(item)
+    modifiers = find_modifiers(item)
     return splats_of_points(item.data, get_input(modifiers[0], "Radius")) if modifiers else None
 
 

@@ -18,16 +18,16 @@ LOOKED_AT = 10_000
 NEAR, NEAR_DISTANCE = 0.2, 2.5
 
 
-def shown_indices(means: FloatArray, opacities: FloatArray, centre: Sequence[float], reach: float) -> NDArray[np.int64]:
-    """Indices of the finite splats within `reach` of `centre` (object frame) that are not too faint."""
+def select_shown(means: FloatArray, opacities: FloatArray, centre: Sequence[float], reach: float) -> NDArray[np.int64]:
+    """Select the indices of the finite splats within `reach` of `centre` (object frame) that are not too faint."""
     away = means - np.asarray(centre, np.float32)
     squared = np.einsum("nk,nk->n", away, away)
     with np.errstate(over="ignore"):
         return np.flatnonzero((squared <= np.float32(min(reach, 1e18)) ** 2) & (opacities >= FAINTEST))
 
 
-def back_to_front(means: FloatArray, towards: Sequence[float]) -> NDArray[np.int64]:
-    """(N,) indices that sort means (N, 3) from the farthest to the nearest.
+def sort_back_to_front(means: FloatArray, towards: Sequence[float]) -> NDArray[np.int64]:
+    """Return the indices (N,) that sort means (N, 3) from the farthest to the nearest.
 
     towards: (3,) any vector that points from the scene to the viewer. Depths become 32-bit integers, sorted 16 bits at
     a time: NumPy sorts those by counting, three times as fast as floats. Equal ones keep their order.
@@ -52,9 +52,9 @@ def has_turned(before: Sequence[float], now: Sequence[float]) -> bool:
     )
 
 
-def near_distance(means: FloatArray, eye: Sequence[float]) -> float:
-    """The depth up to which a perspective view draws nothing, in the object's unit, as `near_plane` of the engine for a
-    camera at `eye`: about a twelfth of the distance within which it has a quarter of the Gaussians."""
+def find_near_distance(means: FloatArray, eye: Sequence[float]) -> float:
+    """Find the depth up to which a perspective view draws nothing, in the object's unit, as `near_plane` of the engine
+    for a camera at `eye`: about a twelfth of the distance within which it has a quarter of the Gaussians."""
     if not len(means):
         return NEAR
     away = means[:: -(-len(means) // LOOKED_AT)] - np.asarray(eye, np.float32)

@@ -157,7 +157,7 @@ def _vec4(values: Any) -> str:
     return f"vec4({', '.join(f'{value:.6f}' for value in values)})"
 
 
-def packed_values(
+def pack_values(
     model_view: Matrix,
     projection: Matrix,
     size: tuple[int, int],
@@ -169,7 +169,7 @@ def packed_values(
     antialiased: bool,
     row: int,
 ) -> NDArray[np.float32]:
-    """(40,) the numbers of `SplatValues`, matrices by columns.
+    """Pack the numbers (40,) of `SplatValues`, matrices by columns.
 
     size: of the picture in px; nearest: depth in world units up to which nothing is drawn; row: width of the data
     textures.
@@ -180,7 +180,7 @@ def packed_values(
 
 
 def splat_shader() -> gpu.types.GPUShader:
-    """The shader that draws one splat per instance, with the values of `packed_values`."""
+    """The shader that draws one splat per instance, with the values of `pack_values`."""
     import gpu
 
     between = gpu.types.GPUStageInterfaceInfo("fruitlangs_splat")

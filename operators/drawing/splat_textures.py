@@ -13,8 +13,8 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..viewport.splats import Splats
-from .splat_order import back_to_front, has_turned, near_distance, shown_indices
-from .splat_shader import over_shader, packed_values, splat_shader
+from .splat_order import find_near_distance, has_turned, select_shown, sort_back_to_front
+from .splat_shader import over_shader, pack_values, splat_shader
 
 ROW = 4096
 """Width of data textures, filled row by row; every card supports 16,384 rows of it, enough for 67 million splats."""
@@ -70,10 +70,10 @@ class SplatTextures:
     def replace(self, splats: Splats, centre: tuple[float, ...], reach: float) -> None:
         """Replace the values, uploading only those that differ."""
         old, self.splats = self.splats, splats
-        placed = _same(old.means, splats.means) and _same(old.opacities, splats.opacities)
-        if not (placed and _same(old.covariances, splats.covariances) and _same(old.colors, splats.colors)):
+        placed = _is_same(old.means, splats.means) and _is_same(old.opacities, splats.opacities)
+        if not (placed and _is_same(old.covariances, splats.covariances) and _is_same(old.colors, splats.colors)):
             self._upload_shapes()
-        if len(old) != len(splats) or not _same(old.probability, splats.probability):
+        if len(old) != len(splats) or not _is_same(old.probability, splats.probability):
             self._upload_probability()
         if not placed or (centre, reach) != (self.centre, self.reach):
             self.centre, self.reach = centre, reach
@@ -84,13 +84,13 @@ class SplatTextures:
         rotated."""
         kept = self.orders.get(view)
         if kept is None or kept.shown is not self._shown or has_turned(kept.towards, towards):
-            sorted_places = back_to_front(self._shown_means, towards)
-            kept = Order(order_texture(self._shown[sorted_places]), len(self._shown), towards, self._shown)
+            sorted_places = sort_back_to_front(self._shown_means, towards)
+            kept = Order(make_order_texture(self._shown[sorted_places]), len(self._shown), towards, self._shown)
             self.orders[view] = kept
         return kept
 
     def _select(self) -> None:
-        self._shown = shown_indices(self.splats.means, self.splats.opacities, self.centre, self.reach)
+        self._shown = select_shown(self.splats.means, self.splats.opacities, self.centre, self.reach)
         self._shown_means = np.ascontiguousarray(self.splats.means[self._shown])
 
     def _upload_shapes(self) -> None:
@@ -101,11 +101,11 @@ class SplatTextures:
             "lower_shapes": splats.covariances[:, 4:],
             "colors": np.concatenate([splats.colors, np.ones((len(splats), 1), np.float32)], axis=1),
         }
-        self.shapes = {name: _texture(values, _FORMATS[name]) for name, values in rows.items()}
+        self.shapes = {name: _make_texture(values, _FORMATS[name]) for name, values in rows.items()}
 
     def _upload_probability(self) -> None:
         given = self.splats.probability
-        self.likely = _texture(np.zeros(1, np.float32) if given is None else given, "R32F")
+        self.likely = _make_texture(np.zeros(1, np.float32) if given is None else given, "R32F")
 
 
 class Picture:
@@ -143,7 +143,7 @@ class Picture:
         shader.bind()
         shader.uniform_float("strength", strength)
         shader.uniform_sampler("picture", self.texture)
-        _square().draw(shader)
+        _make_square().draw(shader)
         gpu.state.blend_set("NONE")
 
     def pixels(self) -> NDArray[np.float32]:
@@ -152,9 +152,9 @@ class Picture:
         return values.reshape(self.size[1], self.size[0], 4)[::-1]
 
 
-def no_depths(size: tuple[int, int]) -> gpu.types.GPUTexture:
-    """Depths that hide nothing."""
-    return gpu.types.GPUTexture(size, format="R32F", data=_buffer(np.ones(size[0] * size[1], np.float32)))
+def make_empty_depths(size: tuple[int, int]) -> gpu.types.GPUTexture:
+    """Make depths that hide nothing."""
+    return gpu.types.GPUTexture(size, format="R32F", data=_make_buffer(np.ones(size[0] * size[1], np.float32)))
 
 
 def read_depths(size: tuple[int, int]) -> gpu.types.GPUTexture:
@@ -179,10 +179,10 @@ def _draw_layer(
     nearest = -1e30
     if view.is_perspective:
         scale = abs(matrix.determinant()) ** (1 / 3)
-        nearest = scale * near_distance(textures.splats.means, model_view.inverted_safe().translation)
+        nearest = scale * find_near_distance(textures.splats.means, model_view.inverted_safe().translation)
     shader = _splat_shader()
     shader.bind()
-    values = packed_values(
+    values = pack_values(
         model_view,
         view.projection,
         view.size,
@@ -193,14 +193,14 @@ def _draw_layer(
         antialiased=textures.splats.antialiased,
         row=ROW,
     )
-    block = gpu.types.GPUUniformBuf(_buffer(values))  # bound only while it exists
+    block = gpu.types.GPUUniformBuf(_make_buffer(values))  # bound only while it exists
     shader.uniform_block("values", block)
     shader.uniform_sampler("order", order.texture)
     for sampler, texture in textures.shapes.items():
         shader.uniform_sampler(sampler, texture)
     shader.uniform_sampler("likely", textures.likely)
     shader.uniform_sampler("depths", depths)
-    _square().draw_instanced(shader, instance_count=order.count)
+    _make_square().draw_instanced(shader, instance_count=order.count)
 
 
 @lru_cache(maxsize=1)
@@ -214,7 +214,7 @@ def _over_shader() -> gpu.types.GPUShader:
 
 
 @lru_cache(maxsize=1)
-def _square() -> gpu.types.GPUBatch:
+def _make_square() -> gpu.types.GPUBatch:
     layout = gpu.types.GPUVertFormat()
     layout.attr_add(id="corner", comp_type="F32", len=2, fetch_mode="FLOAT")
     corners = gpu.types.GPUVertBuf(layout, 4)
@@ -222,29 +222,29 @@ def _square() -> gpu.types.GPUBatch:
     return gpu.types.GPUBatch(type="TRI_STRIP", buf=corners)
 
 
-def order_texture(indices: NDArray[np.int64]) -> gpu.types.GPUTexture:
-    """Indices of splats in drawing order; floats represent them exactly up to 16 million."""
-    return _texture(indices, "R32F")
+def make_order_texture(indices: NDArray[np.int64]) -> gpu.types.GPUTexture:
+    """Make a texture of the indices of splats in drawing order; floats represent them exactly up to 16 million."""
+    return _make_texture(indices, "R32F")
 
 
-def _texture(values: NDArray[Any], layout: str) -> gpu.types.GPUTexture:
-    """A texture of values (N,) or (N, width), `ROW` per row."""
+def _make_texture(values: NDArray[Any], layout: str) -> gpu.types.GPUTexture:
+    """Make a texture of values (N,) or (N, width), `ROW` per row."""
     width = 1 if values.ndim == 1 else values.shape[1]
     height = max(-(-len(values) // ROW), 1)
     padded = np.zeros((height * ROW, width), np.float32)
     padded[: len(values)] = values.reshape(len(values), width)
-    return gpu.types.GPUTexture((ROW, height), format=layout, data=_buffer(padded.ravel()))
+    return gpu.types.GPUTexture((ROW, height), format=layout, data=_make_buffer(padded.ravel()))
 
 
-def _buffer(flat: NDArray[np.float32]) -> gpu.types.Buffer:
+def _make_buffer(flat: NDArray[np.float32]) -> gpu.types.Buffer:
     return gpu.types.Buffer("FLOAT", flat.size, flat)
 
 
-def _same(a: NDArray[Any] | None, b: NDArray[Any] | None) -> bool:
+def _is_same(a: NDArray[Any] | None, b: NDArray[Any] | None) -> bool:
     return (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
 
 
 def free() -> None:
     """Forget the shaders; called when the extension is disabled."""
-    for kept in (_splat_shader, _over_shader, _square):
+    for kept in (_splat_shader, _over_shader, _make_square):
         kept.cache_clear()

@@ -26,7 +26,7 @@ class FRUITLANGS_OT_export_csv(ExportFile, bpy.types.Operator):
 
     suffixes = (".csv",)
 
-    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         scale = metres_per_unit(context.scene)
 
         def write(path: Path, progress: Progress) -> None:
@@ -43,7 +43,7 @@ class ExportMeshes(ExportFile):
     writer = ""
     """The function of `engine.report.meshes` that writes it."""
 
-    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         scale, up, name = metres_per_unit(context.scene), read_up(context.scene), self.writer
 
         def write(path: Path, progress: Progress) -> None:

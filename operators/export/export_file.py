@@ -13,10 +13,10 @@ import bpy
 
 from ...engine.errors import FruitLangsError, OutputError
 from ...engine.progress import Progress
-from ..data.read_fruits import counted, read_fruits
+from ..data.read_fruits import has_count, read_fruits
 from ..data.stored_review import keep_corrections
-from ..jobs.jobs import JobOperator, Work, busy, linked
-from ..settings.settings import result_folder, stored_path
+from ..jobs.jobs import JobOperator, Work, is_busy, is_linked
+from ..settings.settings import format_stored_path, result_folder
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import FruitCount
@@ -43,14 +43,14 @@ class ExportFile(JobOperator):
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if is_busy(cls) or is_linked(cls, context):
             return False
-        if context.scene is None or not counted(context.scene):
+        if context.scene is None or not has_count(context.scene):
             cls.poll_message_set("Count first, then export here")
             return False
         return True
 
-    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         """Read what else is needed from the .blend, on the main thread, and return the function that writes the file,
         on any."""
         raise NotImplementedError
@@ -58,7 +58,7 @@ class ExportFile(JobOperator):
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.filepath or bpy.app.background:
             return super().invoke(context, event)
-        self.filepath = str(default_path(context.scene, self.suffixes[0]))
+        self.filepath = str(choose_default_path(context.scene, self.suffixes[0]))
         self.filter_glob = ";".join(f"*{suffix}" for suffix in self.suffixes)
         return self.ask_where(context)
 
@@ -66,37 +66,37 @@ class ExportFile(JobOperator):
         """Called by the dialog at every change: the name keeps a valid suffix."""
         before = self.filepath
         if Path(before).name and not before.endswith(("/", "\\")):
-            self.filepath = str(with_suffix(Path(before), self.suffixes))
+            self.filepath = str(ensure_suffix(Path(before), self.suffixes))
         return bool(self.filepath != before)
 
     def prepare(self: Any, context: bpy.types.Context) -> Work:
-        path = chosen_file(self.filepath, self.suffixes)
+        path = resolve_file(self.filepath, self.suffixes)
         notices = keep_corrections(context.scene)
         fruit_count = read_fruits(context.scene)
-        write = self.writing(context, fruit_count)
+        write = self.prepare_write(context, fruit_count)
         self._path = path
         self._is_empty = not fruit_count.count
-        empty = f": {_empty_reason(context.scene)}" if self._is_empty else ""
+        empty = f": {_explain_empty(context.scene)}" if self._is_empty else ""
         self._said = "; ".join([f"Wrote {fruit_count.count} fruit to {path}{empty}", *notices])
         return lambda progress: write(path, progress)
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.find()
         if bpy_scene is not None:
-            bpy_scene.fruitlangs.result.exported = stored_path(self._path)
+            bpy_scene.fruitlangs.result.exported = format_stored_path(self._path)
         self.report({"WARNING" if self._is_empty else "INFO"}, self._said)
 
 
-def _empty_reason(bpy_scene: bpy.types.Scene) -> str:
-    """Why there is no fruit to export."""
+def _explain_empty(bpy_scene: bpy.types.Scene) -> str:
+    """Say why there is no fruit to export."""
     shown = bpy_scene.fruitlangs.result
     if shown.count > 0:
         return f"none of the {shown.count} counted fruit is left after the review"
     return str(shown.zero_reason) or "no fruit are shown"
 
 
-def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
-    """The file that the user chose, absolute.
+def resolve_file(text: str, suffixes: tuple[str, ...]) -> Path:
+    """Return the file that the user chose, absolute.
 
     Raises:
         OutputError: none was chosen, it is a folder, or relative to a .blend never saved.
@@ -108,16 +108,16 @@ def chosen_file(text: str, suffixes: tuple[str, ...]) -> Path:
     path = Path(bpy.path.abspath(text)).absolute()
     if text.endswith(("/", "\\")) or path.is_dir():
         raise OutputError(f"{path} is a folder. Add a file name")
-    return with_suffix(path, suffixes)
+    return ensure_suffix(path, suffixes)
 
 
-def with_suffix(path: Path, suffixes: tuple[str, ...]) -> Path:
-    """The path with the first of the suffixes, unless it has one of them."""
+def ensure_suffix(path: Path, suffixes: tuple[str, ...]) -> Path:
+    """Return the path with the first of the suffixes, unless it has one of them."""
     return path if path.suffix.lower() in suffixes else path.with_name(path.name + suffixes[0])
 
 
-def default_path(bpy_scene: bpy.types.Scene, suffix: str) -> Path:
-    """The default folder of an export: next to the .blend, else next to the results."""
+def choose_default_path(bpy_scene: bpy.types.Scene, suffix: str) -> Path:
+    """Choose the default path of an export: next to the .blend, else next to the results."""
     if bpy.data.filepath:
         opened = Path(bpy.data.filepath)
         return opened.with_name(f"{opened.stem}_fruit{suffix}")

@@ -13,9 +13,9 @@ import bpy
 from ...engine.errors import SceneError
 from ...engine.progress import Progress, part
 from ...engine.storage.files import replace_file
-from ..blender_data import owned_object
+from ..blender_data import find_owned_object
 from ..data.fruit_objects import metres_per_unit
-from ..data.read_cameras import active_camera, read_scene
+from ..data.read_cameras import read_active_camera, read_scene
 from ..data.read_gaussians import StoredGaussians, read_gaussians
 from ..data.stored_review import counts_line, entry_text, is_reviewed
 from ..data.write import SET_ID
@@ -54,17 +54,17 @@ class FRUITLANGS_OT_export_still(ExportFile, bpy.types.Operator):
     def poll(cls: Any, context: bpy.types.Context) -> bool:
         if not super().poll(context):
             return False
-        if owned_object(context.scene, "gaussians") is None:
+        if find_owned_object(context.scene, "gaussians") is None:
             cls.poll_message_set("There are no Gaussians to draw. Count again or import the result")
             return False
         return True
 
-    def writing(self: Any, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self: Any, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         scene, stored = read_scene(context.scene), read_gaussians(context.scene)
         if stored is None:
             raise SceneError("There are no Gaussians to draw. Count again or import the result")
-        camera = active_camera(context.scene) if self.view == "CAMERA" else None
-        width, text = int(self.width), what(context.scene)
+        camera = read_active_camera(context.scene) if self.view == "CAMERA" else None
+        width, text = int(self.width), read_counted_prompt(context.scene)
 
         def write(path: Path, progress: Progress) -> None:
             save(path, draw(scene, stored, fruit_count, text, camera, width, progress))
@@ -82,10 +82,10 @@ class FRUITLANGS_OT_export_report(ExportFile, bpy.types.Operator):
 
     suffixes = (".html",)
 
-    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         bpy_scene = context.scene
         scene, stored = read_scene(bpy_scene), read_gaussians(bpy_scene)
-        text, scale, made = what(bpy_scene), metres_per_unit(bpy_scene), provenance(bpy_scene)
+        text, scale, made = read_counted_prompt(bpy_scene), metres_per_unit(bpy_scene), read_provenance(bpy_scene)
         line = counts_line(bpy_scene) if is_reviewed(bpy_scene) else ""
         decisions = [entry_text(entry) for entry in bpy_scene.fruitlangs.review.log]
 
@@ -140,14 +140,14 @@ def save(path: Path, still: Image) -> None:
         still.save(temporary, "PNG", optimize=True)
 
 
-def what(bpy_scene: bpy.types.Scene) -> str:
-    """The counted prompt: 'apple'."""
+def read_counted_prompt(bpy_scene: bpy.types.Scene) -> str:
+    """Read the counted prompt: 'apple'."""
     shown = bpy_scene.fruitlangs.result
     return str(shown.label or bpy_scene.fruitlangs.prompt)
 
 
-def provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
-    """How the count was made, as far as a .blend knows; the result folder has all of it.
+def read_provenance(bpy_scene: bpy.types.Scene) -> dict[str, Any]:
+    """Say how the count was made, as far as a .blend knows; the result folder has all of it.
 
     Only names of folders are included, because a report is passed on.
     """

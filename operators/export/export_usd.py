@@ -11,8 +11,8 @@ import bpy
 
 from ...engine.errors import OutputError
 from ...engine.storage.files import replace_file
-from ..data.fruit_objects import standing
-from .export_file import ExportFile, Write, chosen_file
+from ..data.fruit_objects import list_counted_fruit
+from .export_file import ExportFile, Write, resolve_file
 
 if TYPE_CHECKING:
     from ...engine.counting.fruit import FruitCount
@@ -51,12 +51,12 @@ class FRUITLANGS_OT_export_usd(ExportFile, bpy.types.Operator):
             return False
         return bool(super().poll(context))
 
-    def writing(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
+    def prepare_write(self, context: bpy.types.Context, fruit_count: FruitCount) -> Write:
         return lambda path, progress: None
 
     def finish(self: Any, context: bpy.types.Context, result: Any) -> None:
         # Blender's writer works on the main thread only, which this is.
-        write_usd(chosen_file(self.filepath, self.suffixes), context, self._target.scene(context))
+        write_usd(resolve_file(self.filepath, self.suffixes), context, self._target.scene(context))
         super().finish(context, result)
 
 
@@ -66,15 +66,15 @@ def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene
     Raises:
         OutputError: the file cannot be written.
     """
-    items = standing(bpy_scene)
+    items = list_counted_fruit(bpy_scene)
     known = bpy.ops.wm.usd_export.get_rna_type().properties.keys()
     options = {name: value for name, value in OPTIONS.items() if name in known}
     with ExitStack() as stack:
         part = stack.enter_context(replace_file(path))
         stack.enter_context(context.temp_override(scene=bpy_scene, view_layer=bpy_scene.view_layers[0]))
-        stack.enter_context(_shown(items))
-        stack.enter_context(_plainly_coloured(items))
-        collection = stack.enter_context(_together(items, bpy_scene))
+        stack.enter_context(_show_hidden(items))
+        stack.enter_context(_use_plain_materials(items))
+        collection = stack.enter_context(_link_together(items, bpy_scene))
         try:
             bpy.ops.wm.usd_export("EXEC_DEFAULT", filepath=str(part), collection=collection.name, **options)
         except RuntimeError as error:  # Blender's error for a file that cannot be written
@@ -82,8 +82,8 @@ def write_usd(path: Path, context: bpy.types.Context, bpy_scene: bpy.types.Scene
 
 
 @contextmanager
-def _together(items: list[bpy.types.Object], bpy_scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
-    """A collection of only these objects while the block runs."""
+def _link_together(items: list[bpy.types.Object], bpy_scene: bpy.types.Scene) -> Iterator[bpy.types.Collection]:
+    """Make a collection of only these objects while the block runs."""
     collection = bpy.data.collections.new("Fruit for USD")
     bpy_scene.collection.children.link(collection)
     try:
@@ -95,7 +95,7 @@ def _together(items: list[bpy.types.Object], bpy_scene: bpy.types.Scene) -> Iter
 
 
 @contextmanager
-def _shown(items: list[bpy.types.Object]) -> Iterator[None]:
+def _show_hidden(items: list[bpy.types.Object]) -> Iterator[None]:
     """Show objects that the user hid while the block runs: they count."""
     hidden = [(item, item.hide_viewport, item.hide_render) for item in items if item.hide_viewport or item.hide_render]
     try:
@@ -108,8 +108,8 @@ def _shown(items: list[bpy.types.Object]) -> Iterator[None]:
 
 
 @contextmanager
-def _plainly_coloured(items: list[bpy.types.Object]) -> Iterator[None]:
-    """One plain material per kind of fruit: USD does not support the material that uses the object colour."""
+def _use_plain_materials(items: list[bpy.types.Object]) -> Iterator[None]:
+    """Use one plain material per kind of fruit: USD does not support the material that uses the object colour."""
     meshes = {item.data: item.color for item in reversed(items) if len(item.data.materials)}
     before = {mesh: mesh.materials[0] for mesh in meshes}
     made = []

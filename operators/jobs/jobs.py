@@ -18,7 +18,7 @@ import bpy
 
 from ...engine.errors import Cancelled, FruitLangsError
 from ...engine.progress import Progress, duration, silent
-from ..blender_data import areas_of, edited_object
+from ..blender_data import areas_of, find_edited_object
 from .active_tool import end_waiting
 from .preload import preload_libraries
 from .target_scene import Target
@@ -95,22 +95,22 @@ class Job:
         """Seconds since the start."""
         return time.monotonic() - self.started
 
-    def _progress(self, fraction: float, message: str) -> None:
+    def _store_progress(self, fraction: float, message: str) -> None:
         if self.cancelling:
             raise Cancelled
         self.fraction, self.message = fraction, message
 
     def _run(self) -> None:
         try:
-            with without_full_collections():
+            with limit_garbage_collection():
                 preload_libraries()
-                self.result = self._work(self._progress)
+                self.result = self._work(self._store_progress)
         except BaseException as error:  # any error: the main thread reports it
             self.error = error
 
 
 @contextmanager
-def without_full_collections() -> Iterator[None]:
+def limit_garbage_collection() -> Iterator[None]:
     """Limit Python's garbage collection to young objects.
 
     A full collection stops the window for half a second while kernels are compiled for the first time.
@@ -130,23 +130,23 @@ _current: Job | None = None
 _shower: JobOperator | None = None
 
 
-def running() -> Job | None:
-    """The running job, or one whose result is not shown yet, if any."""
+def find_running_job() -> Job | None:
+    """Return the running job, or one whose result is not shown yet, if any."""
     global _current
     if _current is not None and _current.ended and _shower is None:
         _current = None
     return _current
 
 
-def busy(operator: Any) -> bool:
+def is_busy(operator: Any) -> bool:
     """Whether a job is running; the operator's poll shows that as the reason."""
-    if running() is None:
+    if find_running_job() is None:
         return False
     operator.poll_message_set("Another job is running. Wait for it or cancel it first")
     return True
 
 
-def linked(operator: Any, context: bpy.types.Context) -> bool:
+def is_linked(operator: Any, context: bpy.types.Context) -> bool:
     """Whether the scene is linked from another file and cannot be changed; the operator's poll shows that as the
     reason."""
     if context.scene is None or context.scene.library is None:
@@ -155,24 +155,24 @@ def linked(operator: Any, context: bpy.types.Context) -> bool:
     return True
 
 
-def being_edited(operator: Any, context: bpy.types.Context) -> bool:
+def is_being_edited(operator: Any, context: bpy.types.Context) -> bool:
     """Whether the user edits an object that a result replaces; the operator's poll shows that as the reason."""
-    item = None if context.scene is None else edited_object(context.scene)
+    item = None if context.scene is None else find_edited_object(context.scene)
     if item is None:
         return False
-    operator.poll_message_set(f"{_edited_text(item)}. Return to Object Mode first")
+    operator.poll_message_set(f"{_describe_edited(item)}. Return to Object Mode first")
     return True
 
 
-def _edited_text(item: bpy.types.Object) -> str:
-    """'Gaussians is in Edit Mode'."""
+def _describe_edited(item: bpy.types.Object) -> str:
+    """Say 'Gaussians is in Edit Mode'."""
     return f"{item.name} is in {item.mode.replace('_', ' ').title()} Mode"
 
 
-def editing(operator: Any, context: bpy.types.Context) -> bool:
+def is_editing(operator: Any, context: bpy.types.Context) -> bool:
     """Whether Blender is not in Object Mode or there is no scene of this file; the operator's poll shows that as the
     reason."""
-    if linked(operator, context):
+    if is_linked(operator, context):
         return True
     if context.scene is not None and context.mode == "OBJECT":
         return False
@@ -182,20 +182,20 @@ def editing(operator: Any, context: bpy.types.Context) -> bool:
 
 def cancel_running(wait: float = 0.0) -> None:
     """Ask the running job to stop and wait up to this many seconds for it."""
-    job = running()
+    job = find_running_job()
     if job is not None:
         job.cancel()
         job.wait(wait)
 
 
-def let_go(wait: float) -> None:
+def release_job(wait: float) -> None:
     """Stop the job and remove what shows it: Blender does not notify an operator when its class is unregistered."""
     cancel_running(wait)
     if _shower is not None:
         _shower._leave(bpy.context)
 
 
-def hands_full(context: bpy.types.Context) -> bool:
+def is_user_busy(context: bpy.types.Context) -> bool:
     """Whether the user drags something or renders, and objects must not change."""
     if bpy.app.is_job_running("RENDER"):
         return True
@@ -251,18 +251,18 @@ class JobOperator:
         """Show the result; called on the main thread."""
         raise NotImplementedError
 
-    def failed(self: Any, context: bpy.types.Context, message: str) -> None:
+    def store_failure(self: Any, context: bpy.types.Context, message: str) -> None:
         """Store the message where a panel shows it; called on the main thread, '' when work starts or succeeded."""
         bpy_scene = self._target.find()
         if bpy_scene is not None:
             bpy_scene.fruitlangs.error = message
             bpy_scene.fruitlangs.failed = self.title if message else ""
 
-    def ticked(self, context: bpy.types.Context) -> None:
+    def update_display(self, context: bpy.types.Context) -> None:
         """Called a few times a second on the main thread during the work, to show its current state."""
 
-    def ended(self, context: bpy.types.Context) -> None:
-        """Called when the work has ended, before `finish`: remove what `ticked` showed."""
+    def clear_display(self, context: bpy.types.Context) -> None:
+        """Called when the work has ended, before `finish`: remove what `update_display` showed."""
 
     def ask_where(self: Any, context: bpy.types.Context) -> set[str]:
         """Open Blender's file dialog, which calls `execute` when a path was chosen; return value of an `invoke`."""
@@ -285,7 +285,7 @@ class JobOperator:
         global _current, _shower
         if bpy.app.background:
             return self.execute(context)
-        other = running()
+        other = find_running_job()
         if other is not None:
             self.report({"WARNING"}, f"{other.title} is still running. Wait for it or cancel it first")
             return {"CANCELLED"}
@@ -304,7 +304,7 @@ class JobOperator:
     def _begin(self, context: bpy.types.Context) -> None:
         """Forget the last failure, and end the tool that waits for clicks: the job replaces what they would hit."""
         self._target = Target(context.scene)
-        self.failed(context, "")
+        self.store_failure(context, "")
         end_waiting()
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -318,9 +318,9 @@ class JobOperator:
                 self._shown = self._job.shown
                 redraw_sidebars(context)
                 show_status(context, f"{self.title} {self._job.fraction:.0%}: {self._job.text}. Esc cancels")
-            self.ticked(context)
+            self.update_display(context)
             return {"PASS_THROUGH"}
-        if hands_full(context) or self._waits_for_editing(context):
+        if is_user_busy(context) or self._waits_for_editing(context):
             return {"PASS_THROUGH"}
         self._leave(context)
         return self._conclude(context)
@@ -328,13 +328,13 @@ class JobOperator:
     def _waits_for_editing(self: Any, context: bpy.types.Context) -> bool:
         """Whether the user edits an object that the result replaces; panel and status bar say so."""
         bpy_scene = self._target.find()
-        item = None if bpy_scene is None or not self.replaces_objects else edited_object(bpy_scene)
+        item = None if bpy_scene is None or not self.replaces_objects else find_edited_object(bpy_scene)
         if item is None or self._job.error is not None:
             return False
         if self._job.cancelling:
             self._job.error = Cancelled()
             return False
-        message = f"finished. {_edited_text(item)}: return to Object Mode to see the result"
+        message = f"finished. {_describe_edited(item)}: return to Object Mode to see the result"
         if self._job.message != message:
             self._job.fraction, self._job.message = 1.0, message
             redraw_sidebars(context)
@@ -357,7 +357,7 @@ class JobOperator:
         redraw_sidebars(context)
         show_status(context, None)
         context.window_manager.event_timer_remove(self._timer)
-        self.ended(context)
+        self.clear_display(context)
 
     def _conclude(self: Any, context: bpy.types.Context) -> set[str]:
         job = self._job
@@ -368,14 +368,14 @@ class JobOperator:
             return self._report_failure(context, job.error)
         try:
             self.finish(context, job.result)
-            self.failed(context, "")  # an undo in the meantime may have restored an old message
+            self.store_failure(context, "")  # an undo in the meantime may have restored an old message
         except Exception as error:
             return self._report_failure(context, error)
         return {"FINISHED"}
 
     def _report_failure(self: Any, context: bpy.types.Context, error: BaseException) -> set[str]:
         message = describe_error(error)
-        self.failed(context, message)
+        self.store_failure(context, message)
         self.report({"ERROR"}, message)
         return {"CANCELLED"}
 
@@ -387,7 +387,7 @@ class FRUITLANGS_OT_cancel(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return running() is not None
+        return find_running_job() is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         cancel_running()

@@ -13,7 +13,7 @@ import bpy
 
 from ...engine.errors import FruitLangsError
 from ...engine.user_folders import KERNELS, checkpoints_folder, kernels_folder
-from ..jobs.jobs import busy
+from ..jobs.jobs import is_busy
 from ..settings.settings import result_folder
 
 STAGES = ("photos-", "train-", "embed-", "imported-", "segments-", "publish", "spool")
@@ -22,18 +22,18 @@ LOST = "Training starts again; a scene without a count needs it before the next 
 """The consequence of deleting the cached stages of a scene."""
 
 
-def kernel_caches() -> list[Path]:
-    """The folders of compiled kernels, of this version and of earlier ones."""
-    return sorted(path for path in _entries(kernels_folder()) if path.is_dir() and path.name.startswith(KERNELS))
+def list_kernel_caches() -> list[Path]:
+    """List the folders of compiled kernels, of this version and of earlier ones."""
+    return sorted(path for path in _list_entries(kernels_folder()) if path.is_dir() and path.name.startswith(KERNELS))
 
 
-def downloaded_checkpoints() -> list[Path]:
-    """The folders of CLIP and SAM checkpoints, downloaded or copied there."""
-    return sorted(path for path in _entries(checkpoints_folder()) if path.is_dir())
+def list_downloaded_checkpoints() -> list[Path]:
+    """List the folders of CLIP and SAM checkpoints, downloaded or copied there."""
+    return sorted(path for path in _list_entries(checkpoints_folder()) if path.is_dir())
 
 
-def work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
-    """The cache folder of runs on the chosen scene; None if unknown."""
+def find_work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
+    """Find the cache folder of runs on the chosen scene; None if unknown."""
     settings = bpy_scene.fruitlangs
     if not settings.source and not settings.out:
         return None
@@ -43,19 +43,19 @@ def work_folder(bpy_scene: bpy.types.Scene) -> Path | None:
         return None
 
 
-def work_caches(bpy_scene: bpy.types.Scene) -> list[Path]:
-    """The folders of finished stages and checkpoints of the chosen scene, without other files next to them."""
-    folder = work_folder(bpy_scene)
-    entries = [] if folder is None else _entries(folder)
+def list_work_caches(bpy_scene: bpy.types.Scene) -> list[Path]:
+    """List the folders of finished stages and checkpoints of the chosen scene, without other files next to them."""
+    folder = find_work_folder(bpy_scene)
+    entries = [] if folder is None else _list_entries(folder)
     return sorted(path for path in entries if path.is_dir() and path.name.startswith(STAGES))
 
 
-def _entries(folder: Path) -> list[Path]:
+def _list_entries(folder: Path) -> list[Path]:
     return list(folder.iterdir()) if folder.is_dir() else []
 
 
-def megabytes(folders: Iterable[Path]) -> float:
-    """Size of the files in these folders."""
+def measure_megabytes(folders: Iterable[Path]) -> float:
+    """Measure the size of the files in these folders."""
     files = [file for folder in folders for file in folder.rglob("*") if file.is_file() and not file.is_symlink()]
     return sum(file.stat().st_size for file in files) / 1e6
 
@@ -87,15 +87,19 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls)
+        return not is_busy(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        found = kernel_caches(), downloaded_checkpoints(), work_caches(context.scene)
-        self._sizes = [megabytes(folders) for folders in found]
+        found = list_kernel_caches(), list_downloaded_checkpoints(), list_work_caches(context.scene)
+        self._sizes = [measure_megabytes(folders) for folders in found]
         return context.window_manager.invoke_props_dialog(self, width=520, confirm_text="Delete")
 
     def draw(self, context: bpy.types.Context) -> None:
-        places = {"kernels": kernels_folder(), "checkpoints": checkpoints_folder(), "work": work_folder(context.scene)}
+        places = {
+            "kernels": kernels_folder(),
+            "checkpoints": checkpoints_folder(),
+            "work": find_work_folder(context.scene),
+        }
         for (name, place), size in zip(places.items(), self._sizes, strict=True):
             if place is None:
                 continue
@@ -106,18 +110,20 @@ class FRUITLANGS_OT_clear_caches(bpy.types.Operator):
             self.layout.label(text=LOST, icon="INFO")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if busy(type(self)):  # started since the dialog was opened
+        if is_busy(type(self)):  # started since the dialog was opened
             self.report({"ERROR"}, "A job is running. Wait for it or cancel it first")
             return {"CANCELLED"}
-        chosen = (kernel_caches() if self.kernels else []) + (downloaded_checkpoints() if self.checkpoints else [])
-        chosen += work_caches(context.scene) if self.work else []
-        size = megabytes(chosen)
+        chosen = (list_kernel_caches() if self.kernels else []) + (
+            list_downloaded_checkpoints() if self.checkpoints else []
+        )
+        chosen += list_work_caches(context.scene) if self.work else []
+        size = measure_megabytes(chosen)
         for folder in chosen:
             shutil.rmtree(folder, ignore_errors=True)
         left = [folder for folder in chosen if folder.exists()]
         if left:
             self.report({"WARNING"}, f"{left[0]} is in use or protected. Close Blender and delete it manually")
-        self.report({"INFO"}, f"{size - megabytes(left):,.1f} MB deleted")
+        self.report({"INFO"}, f"{size - measure_megabytes(left):,.1f} MB deleted")
         return {"FINISHED"}
 
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from ...engine.progress import Progress, silent
 from ..blender_data import areas_of
-from ..jobs.jobs import JobOperator, Work, busy, start
+from ..jobs.jobs import JobOperator, Work, is_busy, start
 from ..package_folder import packages_folder, use_packages
-from ..settings.settings import online
+from ..settings.settings import is_online
 from .package_install import TORCH, InstallError, install_packages
-from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, download_megabytes
+from .package_versions import CPU_INDEX, CUDA_GIGABYTES, CUDA_INDEX, REQUIRED, UNPACKED, estimate_download_megabytes
 
 OFFLINE = (
     "Online access is disabled. Enable Allow Online Access in Preferences > System > Network (or start Blender with "
@@ -29,13 +29,13 @@ OFFLINE = (
 )
 
 
-def missing_packages() -> list[str]:
-    """pip names of missing packages; searched, not imported, so that a panel can call it at every redraw."""
+def find_missing_packages() -> list[str]:
+    """Find the pip names of missing packages; searched, not imported, so that a panel can call it at every redraw."""
     return [package for module, package in REQUIRED.items() if importlib.util.find_spec(module) is None]
 
 
-def install_command(packages: list[str]) -> str:
-    """A terminal command that installs them; it never replaces Blender's own NumPy."""
+def make_install_command(packages: list[str]) -> str:
+    """Make a terminal command that installs them; it never replaces Blender's own NumPy."""
     if bpy.app.binary_path:
         code = "import bpy; bpy.ops.fruitlangs.install_dependencies()"
         return f'"{bpy.app.binary_path}" -b --online-mode --python-exit-code 1 --python-expr "{code}"'
@@ -53,19 +53,19 @@ def install_missing(wheels: Path | None = None, progress: Progress = silent, *, 
             nothing was changed.
         Cancelled: by `progress`.
     """
-    return installing(wheels, cuda=cuda)(progress)
+    return prepare_install(wheels, cuda=cuda)(progress)
 
 
-def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[Progress], list[str]]:
-    """The function that does the work of `install_missing`; it may run in any thread.
+def prepare_install(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[Progress], list[str]]:
+    """Return the function that does the work of `install_missing`; it may run in any thread.
 
     Raises:
         InstallError: online access is disabled and no folder is given, or this system has no such PyTorch.
     """
-    packages, folder = [TORCH] if cuda else missing_packages(), packages_folder()
+    packages, folder = [TORCH] if cuda else find_missing_packages(), packages_folder()
     if cuda and sys.platform not in CUDA_GIGABYTES:
         raise InstallError("PyTorch supports NVIDIA cards only on Linux and Windows")
-    if packages and wheels is None and not online():
+    if packages and wheels is None and not is_online():
         raise InstallError(OFFLINE)
 
     def install(progress: Progress) -> list[str]:
@@ -77,7 +77,7 @@ def installing(wheels: Path | None = None, *, cuda: bool = False) -> Callable[[P
     return install
 
 
-def cuda_torch() -> bool:
+def has_cuda_torch() -> bool:
     """Whether the installed PyTorch supports NVIDIA cards; it is not imported for it."""
     try:
         version = importlib.metadata.version(TORCH)
@@ -88,7 +88,7 @@ def cuda_torch() -> bool:
 
 def offers_cuda(card: str) -> bool:
     """Whether PyTorch for NVIDIA cards would help this card, and is not installed."""
-    return sys.platform in CUDA_GIGABYTES and "NVIDIA" in card and not cuda_torch()
+    return sys.platform in CUDA_GIGABYTES and "NVIDIA" in card and not has_cuda_torch()
 
 
 def source_text(packages: list[str], wheels: str, *, cuda: bool = False) -> str:
@@ -119,7 +119,7 @@ class Install:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not busy(cls)
+        return not is_busy(cls)
 
 
 class FRUITLANGS_OT_install_dependencies(Install, JobOperator, bpy.types.Operator):
@@ -131,17 +131,17 @@ class FRUITLANGS_OT_install_dependencies(Install, JobOperator, bpy.types.Operato
     title = "Install"
 
     def prepare(self, context: bpy.types.Context) -> Work:
-        install = installing(Path(bpy.path.abspath(self.wheels)) if self.wheels else None, cuda=self.cuda)
-        return (lambda progress: install(printed(progress))) if bpy.app.background else install
+        install = prepare_install(Path(bpy.path.abspath(self.wheels)) if self.wheels else None, cuda=self.cuda)
+        return (lambda progress: install(print_steps(progress))) if bpy.app.background else install
 
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         text = f"Installed {', '.join(result)}" if result else "All Python packages are installed already"
         self.report({"INFO"}, "PyTorch for NVIDIA cards is installed. Restart Blender" if self.cuda else text)
 
-    def ticked(self, context: bpy.types.Context) -> None:
+    def update_display(self, context: bpy.types.Context) -> None:
         redraw_preferences(context)
 
-    def ended(self, context: bpy.types.Context) -> None:
+    def clear_display(self, context: bpy.types.Context) -> None:
         redraw_preferences(context)
 
 
@@ -162,22 +162,22 @@ class FRUITLANGS_OT_confirm_install(Install, bpy.types.Operator):
         return context.window_manager.invoke_props_dialog(self, width=520, title=title, confirm_text="Install")
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, packages = self.layout, missing_packages()
-        for line in self._cuda_size() if self.cuda else self._sizes(packages):
+        layout, packages = self.layout, find_missing_packages()
+        for line in self._describe_cuda_size() if self.cuda else self._describe_sizes(packages):
             layout.label(text=line)
         layout.label(text=f"From: {source_text(packages, self.wheels, cuda=self.cuda)}")
         layout.label(text=f"Into: {packages_folder()}")
         layout.label(text="Blender's own packages are not changed.")
         layout.prop(self, "wheels")
-        if not self.wheels and not online():
+        if not self.wheels and not is_online():
             box = layout.box()
             box.alert = True
             box.label(text="Online access is disabled. Allow it in Preferences > System > Network,", icon="ERROR")
             box.label(text="or choose a folder with the wheel files.")
 
-    def _sizes(self, packages: list[str]) -> list[str]:
-        """What is missing, and what it needs."""
-        megabytes = download_megabytes(packages)
+    def _describe_sizes(self, packages: list[str]) -> list[str]:
+        """Say what is missing, and what it needs."""
+        megabytes = estimate_download_megabytes(packages)
         kept = f"about {(UNPACKED - 1) * megabytes:.0f} MB are kept"
         return [
             f"{len(packages)} Python packages are missing:",
@@ -185,8 +185,8 @@ class FRUITLANGS_OT_confirm_install(Install, bpy.types.Operator):
             kept.capitalize() if self.wheels else f"About {megabytes} MB are downloaded, {kept}",
         ]
 
-    def _cuda_size(self) -> list[str]:
-        """What PyTorch for NVIDIA cards needs."""
+    def _describe_cuda_size(self) -> list[str]:
+        """Say what PyTorch for NVIDIA cards needs."""
         download, disk = CUDA_GIGABYTES[sys.platform]
         return [
             "PyTorch for NVIDIA cards makes CLIP and SAM faster; training uses the card without it.",
@@ -204,16 +204,16 @@ class FRUITLANGS_OT_copy_install_command(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(missing_packages())
+        return bool(find_missing_packages())
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        context.window_manager.clipboard = install_command(missing_packages())
+        context.window_manager.clipboard = make_install_command(find_missing_packages())
         self.report({"INFO"}, "Command copied. Run it in a terminal, then restart Blender")
         return {"FINISHED"}
 
 
-def printed(progress: Progress = silent) -> Progress:
-    """A `Progress` that also prints every new step, for background mode."""
+def print_steps(progress: Progress = silent) -> Progress:
+    """Return a `Progress` that also prints every new step, for background mode."""
     last_step = ""
 
     def report(fraction: float, message: str) -> None:

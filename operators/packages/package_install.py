@@ -25,7 +25,7 @@ import numpy as np
 
 from ...engine.errors import FruitLangsError
 from ...engine.progress import Progress, silent
-from ..package_folder import UNFINISHED, installs, new_install
+from ..package_folder import UNFINISHED, list_installs, name_new_install
 from .package_versions import (
     CPU_INDEX,
     CUDA_GIGABYTES,
@@ -33,7 +33,7 @@ from .package_versions import (
     CUDA_TORCH,
     NEVER,
     REQUIRED,
-    unpacked_megabytes,
+    estimate_unpacked_megabytes,
     versions_for,
 )
 
@@ -67,7 +67,7 @@ def install_packages(
     """
     if wheels is not None and not wheels.is_dir():
         raise InstallError(f"{wheels} is not a folder. Choose the folder with the wheel files")
-    final = new_install(folder, cuda=cuda)
+    final = name_new_install(folder, cuda=cuda)
     stage = final.with_name(f"{final.name}-{os.getpid()}{UNFINISHED}")
     install = _Install(packages=packages, folder=folder, stage=stage, wheels=wheels, cuda=cuda, progress=progress)
     try:
@@ -102,8 +102,8 @@ class _Install:
 
     def resolve(self) -> dict[str, str]:
         """{package: version} of what has to be installed, resolved by pip without installing anything."""
-        carried, own = _carried(), {TORCH} if self.cuda else set()
-        fixed = {"numpy": np.__version__, **_fitting_cffi(carried)}
+        carried, own = _list_carried(), {TORCH} if self.cuda else set()
+        fixed = {"numpy": np.__version__, **_choose_cffi(carried)}
         if self.wheels is None:
             tested = versions_for(np.__version__, sys.platform)
             fixed = {name: version for name, version in tested.items() if name not in carried | own} | fixed
@@ -115,14 +115,14 @@ class _Install:
         def on_output(_: str) -> None:
             self.progress(0.02, "finding out what is needed")
 
-        failure = self._pip([*command, *wanted], self.packages, on_output)
+        failure = self._run_pip([*command, *wanted], self.packages, on_output)
         if failure:
             raise InstallError(f"pip cannot find the packages ({failure}); {self._advice}")
         document = json.loads(report.read_text(encoding="utf-8"))
         found = {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in document["install"]}
         # A newer copy would only be shadowed by Blender's; the imports show whether an old one works.
         kept = {*NEVER, *carried} - own
-        return {name: version for name, version in found.items() if _normal(name) not in kept}
+        return {name: version for name, version in found.items() if _normalise(name) not in kept}
 
     def unpack(self, found: Mapping[str, str]) -> None:
         """Download and unpack exactly these packages into `target`."""
@@ -133,7 +133,11 @@ class _Install:
         if self.cuda and TORCH in exact:
             exact[TORCH] = CUDA_TORCH[sys.platform]
         command = ["--no-deps", "--no-compile", "--progress-bar", "off", "--target", str(self.target)]
-        expected = 1e9 * CUDA_GIGABYTES[sys.platform][1] if self.cuda else 1e6 * unpacked_megabytes(map(_normal, found))
+        expected = (
+            1e9 * CUDA_GIGABYTES[sys.platform][1]
+            if self.cuda
+            else 1e6 * estimate_unpacked_megabytes(map(_normalise, found))
+        )
         free = shutil.disk_usage(self.stage).free
         if free < expected:
             raise InstallError(
@@ -144,11 +148,11 @@ class _Install:
 
         def on_output(output: str) -> None:
             nonlocal furthest
-            size = _size(self.stage)
+            size = _measure_size(self.stage)
             furthest = max(furthest, min(size / expected, 1.0))  # pip deletes what it has unpacked
-            self.progress(0.05 + 0.8 * furthest, f"{_doing(output)}, {size / 1e6:.0f} MB so far")
+            self.progress(0.05 + 0.8 * furthest, f"{_describe_task(output)}, {size / 1e6:.0f} MB so far")
 
-        failure = self._pip([*command, *exact.values()], found, on_output)
+        failure = self._run_pip([*command, *exact.values()], found, on_output)
         if failure:
             raise InstallError(f"pip cannot install the packages ({failure}); {self._advice}")
         for path in self.target.iterdir():
@@ -166,7 +170,7 @@ class _Install:
             self.progress(0.9, "trying what was installed")
 
         command = [sys.executable, "-s", "-c", code]
-        environment = self._environment(self.target, first=self.cuda)
+        environment = self._make_environment(self.target, first=self.cuda)
         lines = _watch(command, environment, self.stage / "imports.log", on_output)
         if lines.code:
             raise InstallError(
@@ -175,15 +179,15 @@ class _Install:
         if lines.last != np.__version__:
             raise InstallError(f"The packages came with another NumPy ({lines.last}). Nothing was installed")
 
-    def _pip(self, arguments: Sequence[str], packages: Iterable[str], on_output: Callable[[str], None]) -> str:
+    def _run_pip(self, arguments: Sequence[str], packages: Iterable[str], on_output: Callable[[str], None]) -> str:
         """Run `pip install` of Blender's Python with one source after the other; returns why it failed, '' if it did
         not. packages: the names of what is asked for."""
-        environment = self._environment()
+        environment = self._make_environment()
         if importlib.util.find_spec("pip") is None:
-            environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _bundled_pip()])
+            environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], _find_bundled_pip()])
         options = ["--only-binary=:all:", "--no-input", "--disable-pip-version-check", "--no-warn-conflicts"]
         failure = ""
-        for source in _sources(packages, self.wheels, self.cuda):
+        for source in _list_sources(packages, self.wheels, self.cuda):
             command = [sys.executable, "-s", "-m", "pip", "install", *options, *source, *arguments]
             done = _watch(command, environment, self.stage / "pip.log", on_output)
             failure = done.last if done.code else ""
@@ -191,12 +195,12 @@ class _Install:
                 break
         return failure
 
-    def _environment(self, *more: Path, first: bool = False) -> dict[str, str]:
-        """The environment of a Python process that uses the same packages as Blender, and none of the user's.
+    def _make_environment(self, *more: Path, first: bool = False) -> dict[str, str]:
+        """Make the environment of a Python process that uses the same packages as Blender, and none of the user's.
 
         more: further folders of packages, searched last, or `first`.
         """
-        own = [str(path) for path in installs(self.folder)]
+        own = [str(path) for path in list_installs(self.folder)]
         seen = [path for path in sys.path if Path(path).name in ("site-packages", "dist-packages") or path in own]
         kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "PIP_TARGET")}
         temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(self.stage / "temporary"))
@@ -238,7 +242,7 @@ def _watch(
             raise InstallError(f"Blender's Python, {command[0]}, cannot be started ({error.strerror})") from error
     try:
         while child.poll() is None:
-            on_output(_text(log))
+            on_output(_read_text(log))
             try:
                 child.wait(POLL_SECONDS)
             except subprocess.TimeoutExpired:
@@ -247,15 +251,15 @@ def _watch(
         if child.poll() is None:
             child.kill()
             child.wait()
-    return _Lines(child.returncode, _text(log))
+    return _Lines(child.returncode, _read_text(log))
 
 
-def _text(log: Path) -> str:
+def _read_text(log: Path) -> str:
     return log.read_text(encoding="utf-8", errors="replace")
 
 
-def _bundled_pip() -> str:
-    """The wheel of pip that is part of Python, for a Python without pip."""
+def _find_bundled_pip() -> str:
+    """Find the wheel of pip that is part of Python, for a Python without pip."""
     spec = importlib.util.find_spec("ensurepip")
     places = [Path(place) for place in (spec.submodule_search_locations or [])] if spec else []
     found = [wheel for place in places for wheel in sorted(place.glob("_bundled/pip-*.whl"))]
@@ -264,44 +268,45 @@ def _bundled_pip() -> str:
     return str(found[-1])
 
 
-def _sources(packages: Iterable[str], wheels: Path | None, cuda: bool) -> list[list[str]]:
-    """The options for pip's sources, tried in order: its own settings first, so that a mirror in them is used."""
+def _list_sources(packages: Iterable[str], wheels: Path | None, cuda: bool) -> list[list[str]]:
+    """List the options for pip's sources, tried in order: its own settings first, so that a mirror in them is used."""
     if wheels is not None:
         return [["--no-index", "--find-links", str(wheels)]]
     if cuda:
         return [[] if sys.platform == "linux" else ["--extra-index-url", CUDA_INDEX]]
-    needs_index = sys.platform == "linux" and TORCH in map(_normal, packages)
+    needs_index = sys.platform == "linux" and TORCH in map(_normalise, packages)
     return [[], ["--extra-index-url", CPU_INDEX]] if needs_index else [[]]
 
 
-def _carried() -> set[str]:
-    """The packages of this Blender's Python, earlier installs included."""
+def _list_carried() -> set[str]:
+    """List the packages of this Blender's Python, earlier installs included."""
     names = (distribution.metadata["Name"] for distribution in importlib.metadata.distributions())
-    return {_normal(name) for name in names if name}
+    return {_normalise(name) for name in names if name}
 
 
-def _fitting_cffi(carried: Container[str]) -> dict[str, str]:
-    """The version of cffi that fits the binary half of it that some Linux distributions install without the rest."""
+def _choose_cffi(carried: Container[str]) -> dict[str, str]:
+    """Choose the version of cffi that fits the binary half of it that some Linux distributions install without the
+    rest."""
     if "cffi" in carried or importlib.util.find_spec("_cffi_backend") is None:
         return {}
     return {"cffi": importlib.import_module("_cffi_backend").__version__}
 
 
-def _normal(name: str) -> str:
-    """A package's name as pip compares it."""
+def _normalise(name: str) -> str:
+    """Return a package's name as pip compares it."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def _doing(output: str) -> str:
-    """The current task of pip, from its output."""
+def _describe_task(output: str) -> str:
+    """Describe the current task of pip, from its output."""
     if "\nInstalling collected" in output:
         return "unpacking"
     begun = re.findall(r"(?m)^(?:Collecting|Processing) (?:.*/)?([A-Za-z0-9_.-]+?)(?:==|-\d|$)", output)
     return f"downloading {begun[-1]}" if begun else "downloading"
 
 
-def _size(folder: Path) -> int:
-    """Bytes of all files in a folder that other processes write to."""
+def _measure_size(folder: Path) -> int:
+    """Measure the bytes of all files in a folder that other processes write to."""
     total = 0
     for path, _, names in os.walk(folder):
         for name in names:

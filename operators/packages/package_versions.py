@@ -150,13 +150,13 @@ _BRINGS = {"torch": ("sympy", "networkx"), "numba": ("llvmlite",)}
 """Packages installed together with a package, besides small ones."""
 
 
-def download_megabytes(packages: Iterable[str], platform: str = sys.platform) -> int:
-    """Approximate download size of these packages and their dependencies."""
+def estimate_download_megabytes(packages: Iterable[str], platform: str = sys.platform) -> int:
+    """Estimate the download size of these packages and their dependencies."""
     asked = list(packages)
     names = {*asked, *(more for name in asked for more in _BRINGS.get(name, ()))}
     return sum(_MEGABYTES[name].get(platform, 0) if name in _MEGABYTES else 1 for name in names)
 
 
-def unpacked_megabytes(packages: Iterable[str]) -> float:
-    """Approximate disk space of the same packages while they are downloaded and unpacked."""
-    return UNPACKED * download_megabytes(packages)
+def estimate_unpacked_megabytes(packages: Iterable[str]) -> float:
+    """Estimate the disk space of the same packages while they are downloaded and unpacked."""
+    return UNPACKED * estimate_download_megabytes(packages)

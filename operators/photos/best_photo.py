@@ -10,41 +10,41 @@ from typing import Any
 import bpy
 
 from ...engine.errors import FruitLangsError
-from ..blender_data import gaussian_attributes, owned_object, owned_objects
+from ..blender_data import find_owned_object, find_owned_objects, read_gaussian_attributes
 from ..data.fruit_shape import fruit_ellipsoid
 from ..data.photo_files import PHOTO, SIZE
 from ..data.read_cameras import read_camera
-from ..jobs.jobs import describe_error, editing
+from ..jobs.jobs import describe_error, is_editing
 from ..scene_frame import scene_frame
 from .photo_backgrounds import PROBLEM, keep_only, show_photo
-from .photo_choice import Sight, Surface, best_sights
-from .photo_view import look_through, remembers, restore_view, view_area
+from .photo_choice import Sight, Surface, find_best_views
+from .photo_view import find_view_area, has_stored_view, look_through, restore_view
 
 
-def active_fruit(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The active fruit of the list and the viewport."""
+def find_active_fruit(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Find the active fruit of the list and the viewport."""
     item = context.view_layer.objects.active if context.view_layer else None
     return item if item is not None and item.get("fruitlangs") == "fruit" else None
 
 
-def photo_cameras(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The cameras of the photos, including those whose photos are missing."""
-    return [item for item in owned_objects(bpy_scene, "camera") if SIZE in item]
+def list_photo_cameras(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """List the cameras of the photos, including those whose photos are missing."""
+    return [item for item in find_owned_objects(bpy_scene, "camera") if SIZE in item]
 
 
-def fruit_sights(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tuple[bpy.types.Object, Sight]]:
-    """The cameras that show a fruit, best first."""
-    cameras = photo_cameras(bpy_scene)
-    if owned_object(bpy_scene, "root") is None or not cameras:
+def find_fruit_views(bpy_scene: bpy.types.Scene, item: bpy.types.Object) -> list[tuple[bpy.types.Object, Sight]]:
+    """Find the cameras that show a fruit, best first."""
+    cameras = list_photo_cameras(bpy_scene)
+    if find_owned_object(bpy_scene, "root") is None or not cameras:
         return []
     frame = scene_frame(bpy_scene)
     fruit, views = fruit_ellipsoid(item, frame), [read_camera(camera, frame) for camera in cameras]
-    sights = best_sights(views, fruit.center, fruit.axes, _surface(bpy_scene))
+    sights = find_best_views(views, fruit.center, fruit.axes, _read_surface(bpy_scene))
     return [(cameras[sight.index], sight) for sight in sights]
 
 
-def _surface(bpy_scene: bpy.types.Scene) -> Surface | None:
-    found = gaussian_attributes(bpy_scene, "position", "scale", "quaternion", "opacity")
+def _read_surface(bpy_scene: bpy.types.Scene) -> Surface | None:
+    found = read_gaussian_attributes(bpy_scene, "position", "scale", "quaternion", "opacity")
     return None if found is None else Surface(*found)
 
 
@@ -53,22 +53,22 @@ class _Look:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if editing(cls, context):
+        if is_editing(cls, context):
             return False
-        if active_fruit(context) is None:
+        if find_active_fruit(context) is None:
             cls.poll_message_set("Choose a fruit in the list or in the viewport")
             return False
-        if not photo_cameras(context.scene):
+        if not list_photo_cameras(context.scene):
             cls.poll_message_set("There are no photos' cameras: import the scene again")
             return False
         return True
 
     def look(self: Any, context: bpy.types.Context, step: int | None) -> set[str]:
         """Show the view of the best camera (None), or of the one this many places after the current one."""
-        item = active_fruit(context)
+        item = find_active_fruit(context)
         assert item is not None
         try:
-            sights = fruit_sights(context.scene, item)
+            sights = find_fruit_views(context.scene, item)
         except FruitLangsError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -131,9 +131,9 @@ class FRUITLANGS_OT_free_view(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        area = view_area(context)
+        area = find_view_area(context)
         through = area is not None and area.spaces.active.region_3d.view_perspective == "CAMERA"
-        if context.scene is None or not (through or remembers(context.scene)):
+        if context.scene is None or not (through or has_stored_view(context.scene)):
             cls.poll_message_set("No photo is shown")
             return False
         return True

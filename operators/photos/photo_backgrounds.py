@@ -16,10 +16,10 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..blender_data import OWNER, areas_of
-from ..data.photo_files import has_photo, ready_file, remove_backgrounds, undistorting, viewed_file
+from ..data.photo_files import find_ready_file, has_photo, prepare_undistortion, provide_viewed_file, remove_backgrounds
 from ..jobs.jobs import describe_error
-from ..settings.settings import PHOTO_PROBLEM, stored_path
-from ..viewport.viewport import Drawing, in_window, redraw_viewports
+from ..settings.settings import PHOTO_PROBLEM, format_stored_path
+from ..viewport.viewport import Drawing, has_window, redraw_viewports
 
 PROBLEM = PHOTO_PROBLEM
 WAIT = 0.1
@@ -41,11 +41,11 @@ def show_photo(item: bpy.types.Object) -> None:
     if PROBLEM in item:
         del item[PROBLEM]
     if background_of(item) is None:
-        file = _file_soon(item) if in_window() else viewed_file(item)
+        file = _request_file(item) if has_window() else provide_viewed_file(item)
         if file is None:
             return
         remove_backgrounds([item])
-        image = bpy.data.images.load(stored_path(file))
+        image = bpy.data.images.load(format_stored_path(file))
         image[OWNER] = "photo"
         slot = item.data.background_images.new()
         slot.image, slot.frame_method, slot.display_depth = image, "STRETCH", "FRONT"
@@ -58,8 +58,8 @@ def is_awaited(item: bpy.types.Object) -> bool:
     return item.session_uid in _in_work
 
 
-def _file_soon(item: bpy.types.Object) -> Path | None:
-    """The picture of a camera; None while a thread makes it.
+def _request_file(item: bpy.types.Object) -> Path | None:
+    """Return the picture of a camera; None while a thread makes it.
 
     Raises:
         SceneError: the photo is gone, or the thread could not decode it.
@@ -71,11 +71,11 @@ def _file_soon(item: bpy.types.Object) -> Path | None:
             return None
         del _in_work[item.session_uid]
         work.result()
-    file = ready_file(item)
+    file = find_ready_file(item)
     if file is None:
         if _worker is None:
             _worker = ThreadPoolExecutor(1, "fruitlangs-photo")
-        _in_work[item.session_uid] = _worker.submit(undistorting(item))
+        _in_work[item.session_uid] = _worker.submit(prepare_undistortion(item))
         _show_soon()
     return file
 
@@ -102,7 +102,7 @@ def fade(item: bpy.types.Object) -> None:
         slot.alpha, slot.show_background_image = photos.opacity, photos.show
 
 
-def opacity_changed(photos: Any, _context: Any = None) -> None:
+def apply_opacity(photos: Any, _context: Any = None) -> None:
     """Called when the opacity of photos was edited."""
     for item in photos.id_data.objects:
         if has_photo(item):
@@ -121,8 +121,8 @@ def photo_cover(space: Any, view: Any, bpy_scene: bpy.types.Scene) -> float:
     return float(slot.alpha) if slot is not None and slot.show_background_image else 0.0
 
 
-def looked_through() -> list[bpy.types.Object]:
-    """The cameras of ours that the viewports of all windows show."""
+def find_viewed_cameras() -> list[bpy.types.Object]:
+    """Find the cameras of ours that the viewports of all windows show."""
     found = [
         _camera_of(area.spaces.active, area.spaces.active.region_3d, window.scene)
         for window, area in areas_of(bpy.context, "VIEW_3D")
@@ -149,13 +149,13 @@ def _watch() -> None:
 
 
 def _show_soon() -> None:
-    if not bpy.app.timers.is_registered(_show_looked_through):
-        bpy.app.timers.register(_show_looked_through, first_interval=0.0)
+    if not bpy.app.timers.is_registered(_show_viewed):
+        bpy.app.timers.register(_show_viewed, first_interval=0.0)
 
 
-def _show_looked_through() -> float | None:
+def _show_viewed() -> float | None:
     """Show the photos of the viewed cameras; the panel shows why one is missing."""
-    items, before = looked_through(), set(_in_work)
+    items, before = find_viewed_cameras(), set(_in_work)
     if items:
         keep_only(items)
     _forget_work(items)
@@ -199,8 +199,8 @@ def unregister_watch() -> None:
     _drawing.stop()
     if _forget_problems in bpy.app.handlers.load_post:
         bpy.app.handlers.load_post.remove(_forget_problems)
-    if bpy.app.timers.is_registered(_show_looked_through):
-        bpy.app.timers.unregister(_show_looked_through)
+    if bpy.app.timers.is_registered(_show_viewed):
+        bpy.app.timers.unregister(_show_viewed)
     _forget_work([])
     if _worker is not None:
         _worker.shutdown(wait=False)

@@ -40,8 +40,8 @@ class Surface:
     def __len__(self) -> int:
         return len(self.means)
 
-    def along(self, origin: NDArray[np.float64], center: NDArray[np.float64], radius: float) -> Surface:
-        """Those that can hide a sphere from a position: in the cone between both, or reaching into it."""
+    def select_along(self, origin: NDArray[np.float64], center: NDArray[np.float64], radius: float) -> Surface:
+        """Select those that can hide a sphere from a position: in the cone between both, or reaching into it."""
         distance = float(np.linalg.norm(center - origin))
         offsets = self.means - origin.astype(self.means.dtype)
         depth = offsets @ ((center - origin) / distance).astype(self.means.dtype)
@@ -80,41 +80,42 @@ class Sight:
         return not self.whole, -weight * (self.share * self.pixels) ** 2, self.index
 
 
-def best_sights(
+def find_best_views(
     cameras: Sequence[Camera], center: NDArray[np.float64], axes: NDArray[np.float64], surface: Surface | None
 ) -> list[Sight]:
-    """The photos that show an ellipsoid, best first; empty if none does.
+    """Find the photos that show an ellipsoid, best first; empty if none does.
 
     center: (3,); axes: (3, 3) its half axes as rows; surface: None hides nothing.
     """
     radius = float(np.linalg.norm(axes, axis=1).mean())
-    framed = [_in_frame(index, camera, center, axes) for index, camera in enumerate(cameras)]
+    framed = [_measure_in_frame(index, camera, center, axes) for index, camera in enumerate(cameras)]
     seen: list[Sight] = []
     for tested, sight in enumerate(sorted((one for one in framed if one.share > 0.0), key=lambda one: one.rank)):
         if tested >= MOST and seen:
             break
         if surface is not None and len(surface):
-            sight = replace(sight, share=_open_share(cameras[sight.index], center, radius, surface))
+            sight = replace(sight, share=_measure_open_share(cameras[sight.index], center, radius, surface))
         if sight.share >= LEAST_SHARE:
             seen.append(sight)
     return sorted(seen, key=lambda sight: sight.rank)
 
 
-def _in_frame(index: int, camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> Sight:
-    """The view of an ellipsoid in a camera without occluders."""
+def _measure_in_frame(index: int, camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> Sight:
+    """Measure the view of an ellipsoid in a camera without occluders."""
     radius = float(np.linalg.norm(axes, axis=1).mean())
-    inside = _framed(camera, _disc(camera, center, radius))
+    inside = _find_in_frame(camera, _sample_disc(camera, center, radius))
     place, depth = camera.project(center)
     pixels = 2.0 * radius * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / max(float(depth), 1e-12)
     share = float(inside.mean()) if depth > radius else 0.0
-    whole = share > 0.0 and bool(_framed(camera, _outline(camera, center, axes)).all())
+    whole = share > 0.0 and bool(_find_in_frame(camera, _compute_outline(camera, center, axes)).all())
     size = np.array([camera.width, camera.height])
     off_center = float(np.linalg.norm(place - 0.5 * size) / np.linalg.norm(0.5 * size))
     return Sight(index, place, pixels, share, whole, min(off_center, 1.0))
 
 
-def _outline(camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(OUTLINE, 3) points where the rays of a camera touch an ellipsoid; its half axes if the camera is inside.
+def _compute_outline(camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the points (OUTLINE, 3) where the rays of a camera touch an ellipsoid; its half axes if the camera is
+    inside.
 
     In units of the half axes it is the unit sphere, which is touched on a circle.
     """
@@ -131,12 +132,12 @@ def _outline(camera: Camera, center: NDArray[np.float64], axes: NDArray[np.float
     return np.asarray(center + circle @ axes)
 
 
-def _open_share(camera: Camera, center: NDArray[np.float64], radius: float, surface: Surface) -> float:
-    """Share of a sphere's disc that is inside the frame and not hidden by Gaussians."""
-    places = _disc(camera, center, radius)
-    near = surface.along(camera.center, center, radius)
+def _measure_open_share(camera: Camera, center: NDArray[np.float64], radius: float, surface: Surface) -> float:
+    """Measure the share of a sphere's disc that is inside the frame and not hidden by Gaussians."""
+    places = _sample_disc(camera, center, radius)
+    near = surface.select_along(camera.center, center, radius)
     open_ones = 0
-    for place in places[_framed(camera, places)]:
+    for place in places[_find_in_frame(camera, places)]:
         along = place - camera.center
         distance = float(np.linalg.norm(along))
         hit = pick_surface(
@@ -146,8 +147,8 @@ def _open_share(camera: Camera, center: NDArray[np.float64], radius: float, surf
     return open_ones / len(places)
 
 
-def _disc(camera: Camera, center: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """(SAMPLES + 1, 3) the centre of a sphere and points around it, on the disc that faces the camera."""
+def _sample_disc(camera: Camera, center: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+    """Return (SAMPLES + 1, 3) the centre of a sphere and points around it, on the disc that faces the camera."""
     along = (center - camera.center) / max(float(np.linalg.norm(center - camera.center)), 1e-12)
     right = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     right /= np.linalg.norm(right)
@@ -156,8 +157,8 @@ def _disc(camera: Camera, center: NDArray[np.float64], radius: float) -> NDArray
     return np.concatenate([center[None], center + SAMPLE_RADIUS * radius * around])
 
 
-def _framed(camera: Camera, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(P,) whether points (P, 3) are inside the camera's frame."""
+def _find_in_frame(camera: Camera, places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Find (P,) whether points (P, 3) are inside the camera's frame."""
     pixels, depths = camera.project(places)
     inside = ((pixels >= 0.0) & (pixels <= [camera.width, camera.height])).all(axis=1)
     return np.asarray(inside & (depths > 0.0))

@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 
 from ..data.photo_files import ASPECT, SIZE
 from ..data.write_cameras import show_through
-from ..viewport.viewport import shown_screens
+from ..viewport.viewport import find_screens
 
 SHOWN = 0.12
 """Least width of a fruit, in heights of the viewport."""
 
 
-def view_area(context: bpy.types.Context) -> bpy.types.Area | None:
-    """The 3D viewport whose button was pressed, else the first of the screen; None in background mode."""
+def find_view_area(context: bpy.types.Context) -> bpy.types.Area | None:
+    """Find the 3D viewport whose button was pressed, else the first of the screen; None in background mode."""
     if bpy.app.background:
         return None
     if context.area is not None and context.area.type == "VIEW_3D":
         return context.area
-    areas = (area for screen in shown_screens(context, context.scene) for area in screen.areas)
+    areas = (area for screen in find_screens(context, context.scene) for area in screen.areas)
     return next((area for area in areas if area.type == "VIEW_3D"), None)
 
 
-def remembers(bpy_scene: bpy.types.Scene) -> bool:
+def has_stored_view(bpy_scene: bpy.types.Scene) -> bool:
     """Whether there is a view to return to."""
     return bool(bpy_scene.fruitlangs.photos.perspective)
 
@@ -39,9 +39,9 @@ def look_through(
 
     The previous view is stored in the .blend until `restore_view`.
     """
-    area, bpy_scene = view_area(context), context.scene
+    area, bpy_scene = find_view_area(context), context.scene
     view = None if area is None else area.spaces.active.region_3d
-    if not remembers(bpy_scene) or (view is not None and view.view_perspective != "CAMERA"):
+    if not has_stored_view(bpy_scene) or (view is not None and view.view_perspective != "CAMERA"):
         _remember(bpy_scene, view)
     show_through(bpy_scene, camera)
     if area is None or view is None:
@@ -73,8 +73,8 @@ def _frame(area: bpy.types.Area, camera: bpy.types.Object, place: NDArray[np.flo
 
 def restore_view(context: bpy.types.Context) -> None:
     """Restore the view before the first photo, and the scene's own camera and size."""
-    area, photos = view_area(context), context.scene.fruitlangs.photos
-    if not remembers(context.scene):
+    area, photos = find_view_area(context), context.scene.fruitlangs.photos
+    if not has_stored_view(context.scene):
         if area is not None:
             area.spaces.active.region_3d.view_perspective = "PERSP"
         return
@@ -95,7 +95,7 @@ def restore_view(context: bpy.types.Context) -> None:
 def _remember(bpy_scene: bpy.types.Scene, view: Any) -> None:
     """Store the view of a viewport, and the scene's camera and size, which a photo replaces."""
     photos, render = bpy_scene.fruitlangs.photos, bpy_scene.render
-    if not remembers(bpy_scene):  # otherwise a photo's camera is shown already, and the previous view is stored
+    if not has_stored_view(bpy_scene):  # otherwise a photo's camera is shown already, and the previous view is stored
         photos.camera = bpy_scene.camera
         photos.resolution = (render.resolution_x, render.resolution_y, render.resolution_percentage)
         photos.aspect = (render.pixel_aspect_x, render.pixel_aspect_y)

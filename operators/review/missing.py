@@ -6,18 +6,18 @@ from typing import Any
 
 import bpy
 
-from ..blender_data import owned_objects
+from ..blender_data import find_owned_objects
 from ..data.fruit_objects import REJECTED, REVIEW, fruit_frame, spot_of
 from ..data.manual_edits import log_copies, remember_fruit
 from ..data.missing_fruit import (
     DELETED,
-    many_missing,
+    count_many_missing,
+    describe_rejected,
     reject_missing,
-    rejected_text,
     reopen_rejected,
     restore_missing,
 )
-from ..jobs.jobs import busy, describe_error, editing
+from ..jobs.jobs import describe_error, is_busy, is_editing
 from .review import has_root
 
 
@@ -44,17 +44,17 @@ class FRUITLANGS_OT_restore_fruit(MissingFruit, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or editing(cls, context) or not has_root(cls, context):
+        if is_busy(cls) or is_editing(cls, context) or not has_root(cls, context):
             return False
-        if not many_missing(context.scene) and not rejected_text(context.scene):
+        if not count_many_missing(context.scene) and not describe_rejected(context.scene):
             cls.poll_message_set("Most fruit are there")
             return False
         return True
 
     def decide(self, bpy_scene: bpy.types.Scene) -> str:
-        if many_missing(bpy_scene):
+        if count_many_missing(bpy_scene):
             return f"{restore_missing(bpy_scene)} fruit are back"
-        frame, fruits = fruit_frame(bpy_scene), owned_objects(bpy_scene, "fruit")
+        frame, fruits = fruit_frame(bpy_scene), find_owned_objects(bpy_scene, "fruit")
         rejected = [spot_of(item, frame) for item in fruits if item.get(REVIEW) == REJECTED]
         return f"{reopen_rejected(bpy_scene, rejected)} fruit are back"
 
@@ -67,9 +67,9 @@ class FRUITLANGS_OT_reject_missing(MissingFruit, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or not has_root(cls, context):
+        if is_busy(cls) or not has_root(cls, context):
             return False
-        if not many_missing(context.scene):
+        if not count_many_missing(context.scene):
             cls.poll_message_set("No fruit are missing")
             return False
         return True

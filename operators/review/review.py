@@ -14,12 +14,15 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...engine.errors import CountingError, FruitLangsError
-from ..blender_data import OWNER, owned_object, owned_objects, remove_objects, select_only
+from ..blender_data import OWNER, find_owned_object, find_owned_objects, remove_objects, select_only
 from ..data.fruit_objects import (
     CONFIRMED,
     REJECTED,
     REVIEW,
     check_made,
+    choose_new_ids,
+    find_usual_diameter,
+    format_now,
     fruit_collection,
     fruit_frame,
     give_members,
@@ -27,19 +30,16 @@ from ..data.fruit_objects import (
     make_fruit,
     members,
     metres_per_unit,
-    next_ids,
-    now,
     spot_of,
-    usual_diameter,
     write_log,
 )
 from ..data.manual_edits import remember_fruit
 from ..data.stored_review import keep_corrections
 from ..data.write_fruits import SHOWN, label_fruit
-from ..jobs.jobs import busy, describe_error, editing
+from ..jobs.jobs import describe_error, is_busy, is_editing
 from ..scene_frame import scene_frame
 from ..tools.pick_tool import PickTool
-from ..viewport.viewport import look_at_point, shown_screens
+from ..viewport.viewport import find_screens, look_at_point
 
 if TYPE_CHECKING:
     from ...engine.counting.accounts.review import Action, Spot
@@ -49,8 +49,8 @@ CLOSE = 8.0
 NO_SIZE = "The size of the new fruit is unknown. Enter its diameter below Add first"
 
 
-def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The selected fruit, the active one first."""
+def list_selected_fruit(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """List the selected fruit, the active one first."""
     own = [item for item in context.selected_objects if item.get(OWNER) == "fruit"]
     active = context.view_layer.objects.active
     return sorted(own, key=lambda item: (item != active, item.get("id", 0)))
@@ -58,7 +58,7 @@ def chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 def has_root(operator: Any, context: bpy.types.Context) -> bool:
     """Whether the scene's root exists; the operator's poll shows a missing one as the reason."""
-    if owned_object(context.scene, "root") is not None:
+    if find_owned_object(context.scene, "root") is not None:
         return True
     operator.poll_message_set("The scene's root empty was deleted. Undo that, or import or count again")
     return False
@@ -76,9 +76,9 @@ class Judgement:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or editing(cls, context) or not has_root(cls, context):
+        if is_busy(cls) or is_editing(cls, context) or not has_root(cls, context):
             return False
-        if len(chosen(context)) < cls.needs:
+        if len(list_selected_fruit(context)) < cls.needs:
             many = "a fruit" if cls.needs == 1 else f"{cls.needs} fruit or more (Shift and click)"
             cls.poll_message_set(f"Select {many} in the list or in the viewport")
             return False
@@ -111,7 +111,7 @@ class Judgement:
 
         review = context.scene.fruitlangs.review
         reason, review.reason = self.reason or review.reason, ""
-        write_log(context.scene, Decision(action, now(), reason.strip(), tuple(before), tuple(after)))
+        write_log(context.scene, Decision(action, format_now(), reason.strip(), tuple(before), tuple(after)))
 
 
 def _spots(context: bpy.types.Context, items: Sequence[bpy.types.Object]) -> list[Spot]:
@@ -126,7 +126,7 @@ class FRUITLANGS_OT_confirm_fruit(Judgement, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def decide(self, context: bpy.types.Context) -> None:
-        items = chosen(context)
+        items = list_selected_fruit(context)
         self.log(context, "confirm", _spots(context, items))
         for item in items:
             judge(item, CONFIRMED)
@@ -139,7 +139,7 @@ class FRUITLANGS_OT_reject_fruit(Judgement, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     def decide(self, context: bpy.types.Context) -> None:
-        items = chosen(context)
+        items = list_selected_fruit(context)
         self.log(context, "reject", _spots(context, items))
         for item in items:
             judge(item, REJECTED)
@@ -153,7 +153,7 @@ class FRUITLANGS_OT_reopen_fruit(Judgement, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or not has_root(cls, context):
+        if is_busy(cls) or not has_root(cls, context):
             return False
         item = context.view_layer.objects.active
         if item is None or item.get(OWNER) != "fruit" or item.get(REVIEW) not in (CONFIRMED, REJECTED):
@@ -179,9 +179,9 @@ class FRUITLANGS_OT_merge_fruit(Judgement, bpy.types.Operator):
     def decide(self, context: bpy.types.Context) -> None:
         from ...engine.counting.accounts.review import merge
 
-        items = chosen(context)
+        items = list_selected_fruit(context)
         before = _spots(context, items)
-        whole = merge(before, next_ids(context.scene, 1)[0], usual_diameter(context.scene))
+        whole = merge(before, choose_new_ids(context.scene, 1)[0], find_usual_diameter(context.scene))
         own = np.concatenate([members(context.scene, item)[0] for item in items])
         give_members(context.scene, own, whole.id)
         made = make_fruit(context.scene, whole, items[0])
@@ -205,11 +205,11 @@ class FRUITLANGS_OT_split_fruit(Judgement, bpy.types.Operator):
     def decide(self, context: bpy.types.Context) -> None:
         from ...engine.counting.accounts.review import split
 
-        item = chosen(context)[0]
+        item = list_selected_fruit(context)[0]
         before = _spots(context, [item])[0]
         own, places = members(context.scene, item)
-        usual = usual_diameter(context.scene)
-        spots, owners = split(before, self.parts, places, next_ids(context.scene, self.parts), usual=usual)
+        usual = find_usual_diameter(context.scene)
+        spots, owners = split(before, self.parts, places, choose_new_ids(context.scene, self.parts), usual=usual)
         made = [make_fruit(context.scene, spot, item) for spot in spots]
         give_members(context.scene, own, np.array([spot.id for spot in spots])[owners] if len(own) else 0)
         self.log(context, "split", [before], spots)
@@ -232,7 +232,7 @@ class FRUITLANGS_OT_relabel_fruit(Judgement, bpy.types.Operator):
         if not label:
             raise CountingError("Type the label first")
         self.reason = self.reason or context.scene.fruitlangs.review.reason
-        for item in chosen(context):
+        for item in list_selected_fruit(context):
             before = _spots(context, [item])
             label_fruit(item, label, context.scene)
             judge(item, CONFIRMED)
@@ -259,40 +259,40 @@ class FRUITLANGS_OT_add_fruit(PickTool, Judgement, bpy.types.Operator):
     )
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not new_diameter(context.scene) > 0.0:
+        if not choose_new_diameter(context.scene) > 0.0:
             self.report({"ERROR"}, NO_SIZE)
             return {"CANCELLED"}
         return super().invoke(context, event)
 
-    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+    def handle_points(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         # The click is on the surface: the centre lies half a diameter behind it, away from the viewer.
         direction = self._target3d.direction
-        self.center = (points[0] + 0.5 * new_diameter(context.scene) * direction).tolist()
+        self.center = (points[0] + 0.5 * choose_new_diameter(context.scene) * direction).tolist()
         return self.execute(context)
 
     def decide(self, context: bpy.types.Context) -> None:
         from ...engine.counting.accounts.review import ball
 
         label = context.scene.fruitlangs.result.label or context.scene.fruitlangs.prompt
-        size = self.diameter or new_diameter(context.scene)
+        size = self.diameter or choose_new_diameter(context.scene)
         if not size > 0.0:
             raise CountingError(NO_SIZE)
         check_made(context.scene, "The new fruit", np.array(self.center), size)
-        spot = ball(next_ids(context.scene, 1)[0], label, np.array(self.center), size)
+        spot = ball(choose_new_ids(context.scene, 1)[0], label, np.array(self.center), size)
         made = make_fruit(context.scene, spot, None)
         self.log(context, "add", after=[spot])
         select_only(context, [made])
 
 
-def new_diameter(bpy_scene: bpy.types.Scene) -> float:
-    """The diameter of an added fruit, scene units: the median diameter, else the one entered in the panel; 0 without
-    either.
+def choose_new_diameter(bpy_scene: bpy.types.Scene) -> float:
+    """Choose the diameter of an added fruit, scene units: the median diameter, else the one entered in the panel; 0
+    without either.
 
     The panel has a field for each unit, so that a later scale does not change the meaning of a number.
     """
     review, metres = bpy_scene.fruitlangs.review, metres_per_unit(bpy_scene)
     typed = review.diameter if metres is None else review.diameter_mm / (1000.0 * metres)
-    return usual_diameter(bpy_scene) or float(typed)
+    return find_usual_diameter(bpy_scene) or float(typed)
 
 
 class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
@@ -303,15 +303,15 @@ class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or editing(cls, context):
+        if is_busy(cls) or is_editing(cls, context):
             return False
-        if not uncertain(context.scene):
+        if not list_uncertain(context.scene):
             cls.poll_message_set("Every fruit is reviewed")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        ranked = uncertain(context.scene)
+        ranked = list_uncertain(context.scene)
         left = [item for item in ranked if SHOWN not in item]
         if not left:
             for item in ranked:
@@ -326,7 +326,7 @@ class FRUITLANGS_OT_next_uncertain(bpy.types.Operator):
                 f"{item.name} is in no collection of this view layer. Enable its collection in the Outliner",
             )
             return {"CANCELLED"}
-        if owned_object(context.scene, "root") is not None:
+        if find_owned_object(context.scene, "root") is not None:
             try:
                 _look_at_fruit(context, item)
             except FruitLangsError as error:
@@ -340,12 +340,12 @@ def _look_at_fruit(context: bpy.types.Context, item: bpy.types.Object) -> None:
     frame = scene_frame(context.scene)
     spot = spot_of(item, frame)
     place = frame.to_world @ Vector(spot.center)
-    look_at_point(shown_screens(context, context.scene), place, CLOSE * spot.diameter * frame.world_scale)
+    look_at_point(find_screens(context, context.scene), place, CLOSE * spot.diameter * frame.world_scale)
 
 
-def uncertain(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The fruit that are not reviewed, the lowest probability first."""
-    open_ones = [item for item in owned_objects(bpy_scene, "fruit") if REVIEW not in item]
+def list_uncertain(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """List the fruit that are not reviewed, the lowest probability first."""
+    open_ones = [item for item in find_owned_objects(bpy_scene, "fruit") if REVIEW not in item]
     return sorted(open_ones, key=lambda item: (item.get("probability", 1.0), item.get("id", 0)))
 
 

@@ -10,10 +10,10 @@ from mathutils import Vector
 
 from ...engine.errors import FruitLangsError
 from ...engine.report.words import place
-from ..data.fruit_objects import usual_diameter
+from ..data.fruit_objects import find_usual_diameter
 from ..data.stored_audit import read_audit
 from ..scene_frame import scene_frame
-from ..viewport.viewport import look_at_point, shown_screens
+from ..viewport.viewport import find_screens, look_at_point
 from .review import CLOSE, has_root
 
 
@@ -32,19 +32,19 @@ class FRUITLANGS_OT_look_at_cluster(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            center = cluster_center(context.scene, self.cluster)
+            center = find_cluster_center(context.scene, self.cluster)
         except FruitLangsError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if center is None:
             self.report({"WARNING"}, f"The audit of this count has no position for cluster {self.cluster}")
             return {"CANCELLED"}
-        look_at_point(shown_screens(context, context.scene), center, CLOSE * usual_size(context.scene))
+        look_at_point(find_screens(context, context.scene), center, CLOSE * find_usual_size(context.scene))
         return {"FINISHED"}
 
 
-def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
-    """The position of the cluster with that number in the world; None if the audit has none.
+def find_cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
+    """Find the position of the cluster with that number in the world; None if the audit has none.
 
     Raises:
         SceneError: the scene frame is unknown.
@@ -55,10 +55,10 @@ def cluster_center(bpy_scene: bpy.types.Scene, cluster: int) -> Vector | None:
     return scene_frame(bpy_scene).to_world @ Vector(centers[0])
 
 
-def usual_size(bpy_scene: bpy.types.Scene) -> float:
-    """The diameter of fruit in the world; without fruit, an estimate from the size of the scene."""
+def find_usual_size(bpy_scene: bpy.types.Scene) -> float:
+    """Return the diameter of fruit in the world; without fruit, an estimate from the size of the scene."""
     frame = scene_frame(bpy_scene)
-    return (usual_diameter(bpy_scene) or 0.5 * frame.root.empty_display_size) * frame.world_scale
+    return (find_usual_diameter(bpy_scene) or 0.5 * frame.root.empty_display_size) * frame.world_scale
 
 
 CLASSES = (FRUITLANGS_OT_look_at_cluster,)

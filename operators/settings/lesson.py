@@ -25,13 +25,13 @@ class LessonText:
 def read_lesson(settings: Any) -> LessonText | None:
     """The word and its examples; None before there is a positive one, or any one that corrects a built-in word."""
     teach = settings.teach
-    places = tuple((bool(example.positive), _three(example.place)) for example in teach.examples)
+    places = tuple((bool(example.positive), _to_triple(example.place)) for example in teach.examples)
     enough = any(positive for positive, _ in places) or (bool(places) and refines(teach.word))
     if not teach.word.strip() or not enough:
         return None
     return LessonText(teach.word.strip(), places)
 
 
-def _three(place: Any) -> tuple[float, float, float]:
+def _to_triple(place: Any) -> tuple[float, float, float]:
     x, y, z = (float(each) for each in place)
     return x, y, z

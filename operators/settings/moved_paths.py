@@ -17,7 +17,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..blender_data import OWNER
-from .settings import PHOTO_FILE, PHOTO_PROBLEM, relative_path
+from .settings import PHOTO_FILE, PHOTO_PROBLEM, make_relative_path
 
 PATH_SUBTYPES = ("FILE_PATH", "DIR_PATH")
 MESSAGES = {"result": "notices", "answer": "problem", "teach": "saved"}
@@ -55,49 +55,49 @@ def rebase_paths(file: str, _unused: Any = None) -> None:
     if file:
         _hide_temporary()
         _shorten_messages()
-        _rebase(_opened_folder(), Path(file).parent)
+        _rebase(_find_opened_folder(), Path(file).parent)
 
 
 @persistent
 def restore_paths(file: str, _unused: Any = None) -> None:
     """After saving, saving a copy or a failed save: make paths relative to the open file."""
     if file:
-        _rebase(Path(file).parent, _opened_folder())
+        _rebase(Path(file).parent, _find_opened_folder())
         _show_temporary()
 
 
-def _opened_folder() -> Path | None:
-    """The folder of the open file; None if it was never saved."""
+def _find_opened_folder() -> Path | None:
+    """Find the folder of the open file; None if it was never saved."""
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
 
 def _rebase(old: Path | None, new: Path | None) -> None:
     """Make paths relative to the folder `new` that are absolute or relative to the folder `old`; absolute if `new` is
     None. Without `old`, relative paths stay as they are."""
-    for stored in stored_paths():
+    for stored in iterate_stored_paths():
         text = stored.text
         if text.startswith("//"):
             if old is None or old == new:
                 continue
             text = bpy.path.abspath(text, start=str(old))
         if Path(text).is_absolute():  # otherwise it is empty, or the name of a network on a hub
-            stored.write(os.path.normpath(text) if new is None else relative_path(Path(text), new))
+            stored.write(os.path.normpath(text) if new is None else make_relative_path(Path(text), new))
 
 
-def stored_paths() -> Iterator[StoredPath]:
-    """All paths of this extension in the open file."""
+def iterate_stored_paths() -> Iterator[StoredPath]:
+    """Yield all paths of this extension in the open file."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
             yield from _paths_of(bpy_scene.fruitlangs)
     for item in bpy.data.objects:
         if item.get(OWNER) == "camera" and item.get(PHOTO_FILE) and item.library is None:
             yield StoredPath(item, PHOTO_FILE, custom=True)
-    for image in _photos():
+    for image in _list_photos():
         yield StoredPath(image, "filepath_raw")  # `filepath` would load it again
 
 
-def _photos() -> list[bpy.types.Image]:
-    """The photos that are shown behind cameras."""
+def _list_photos() -> list[bpy.types.Image]:
+    """List the photos that are shown behind cameras."""
     return [image for image in bpy.data.images if image.get(OWNER) == "photo" and image.library is None]
 
 
@@ -132,14 +132,14 @@ def _contains_paths(struct: Any) -> bool:
 _temporary: dict[bpy.types.Image, str] = {}
 
 
-def temporary_folder() -> Path:
-    """Blender's folder of temporary files."""
+def find_temporary_folder() -> Path:
+    """Return Blender's folder of temporary files."""
     return Path(bpy.app.tempdir)
 
 
 def _hide_temporary() -> None:
-    for image in _photos():
-        if Path(bpy.path.abspath(image.filepath_raw)).is_relative_to(temporary_folder()):
+    for image in _list_photos():
+        if Path(bpy.path.abspath(image.filepath_raw)).is_relative_to(find_temporary_folder()):
             _temporary[image] = bpy.path.abspath(image.filepath_raw)
             StoredPath(image, "filepath_raw").write("")
 
@@ -152,11 +152,11 @@ def _show_temporary() -> None:
 
 def _shorten_messages() -> None:
     """Write the home folder as ~ in messages, which a file that is passed on contains too."""
-    for message in _messages():
+    for message in _iterate_messages():
         message.write(message.text.replace(str(Path.home()), "~"))
 
 
-def _messages() -> Iterator[StoredPath]:
+def _iterate_messages() -> Iterator[StoredPath]:
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
             settings = bpy_scene.fruitlangs

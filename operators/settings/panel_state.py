@@ -145,8 +145,8 @@ def store_panel(bpy_scene: bpy.types.Scene, state: PanelState) -> None:
     bpy_scene[STORED] = json.dumps(dataclasses.asdict(state))
 
 
-def stored_panel(bpy_scene: bpy.types.Scene) -> PanelState | None:
-    """The stored state; None without one, or if another version wrote it."""
+def read_stored_panel(bpy_scene: bpy.types.Scene) -> PanelState | None:
+    """Read the stored state; None without one, or if another version wrote it."""
     with suppress(ValueError, TypeError, KeyError):
         values = json.loads(bpy_scene.get(STORED, "null"))
         parts = {"scene": SceneState, "gaussians": GaussiansState, "count": CountState}

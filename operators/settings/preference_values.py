@@ -22,8 +22,8 @@ def preferences() -> Any:
     return None if addon is None else addon.preferences
 
 
-def with_preferred_folders(embed: EmbedConfig) -> EmbedConfig:
-    """The settings with the preferences' checkpoints for those that the scene left at their defaults."""
+def add_preferred_folders(embed: EmbedConfig) -> EmbedConfig:
+    """Return the settings with the preferences' checkpoints for those that the scene left at their defaults."""
     preferred, defaults = preferences(), type(embed)()
     if preferred is None:
         return embed

@@ -15,14 +15,14 @@ from mathutils import Matrix, Vector
 
 from ...engine.errors import ConfigError
 from ..blender_data import (
-    new_object,
-    owned_collection,
-    owned_object,
-    owned_objects,
+    ensure_owned_collection,
+    find_owned_object,
+    find_owned_objects,
+    make_object,
     remove_objects,
     select_only,
 )
-from ..jobs.jobs import busy, linked
+from ..jobs.jobs import is_busy, is_linked
 from ..root_placement import root_frame, upright_of
 from ..scene_frame import SceneFrame, scene_frame
 
@@ -34,16 +34,16 @@ UPRIGHT = 0.9998
 CORNERS = ((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0))
 
 
-def in_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
-    """`config` limited to this Blender scene's box, as an outline with heights in the scene frame; unchanged without a
-    box.
+def limit_to_region(bpy_scene: bpy.types.Scene, config: CountConfig) -> CountConfig:
+    """Return `config` limited to this Blender scene's box, as an outline with heights in the scene frame; unchanged
+    without a box.
 
     Raises:
         ConfigError: the box is tilted or flat.
         SceneError: the scene frame is unknown.
     """
-    box = owned_object(bpy_scene, "region")
-    if box is None or owned_object(bpy_scene, "root") is None:
+    box = find_owned_object(bpy_scene, "region")
+    if box is None or find_owned_object(bpy_scene, "root") is None:
         return config
     frame = scene_frame(bpy_scene)
     up = np.array(upright_of(frame).to_3x3().row[2])
@@ -70,12 +70,12 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if is_busy(cls) or is_linked(cls, context):
             return False
-        if context.scene is None or owned_object(context.scene, "root") is None:
+        if context.scene is None or find_owned_object(context.scene, "root") is None:
             cls.poll_message_set("Import a scene first")
             return False
-        if owned_object(context.scene, "region") is not None:
+        if find_owned_object(context.scene, "region") is not None:
             cls.poll_message_set("There is a region box already")
             return False
         return True
@@ -83,8 +83,10 @@ class FRUITLANGS_OT_add_region(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         bpy_scene, frame = context.scene, root_frame(context.scene)
         assert frame is not None
-        middle, half = around(bpy_scene, frame)
-        box = new_object("Region", None, "region", owned_collection(bpy_scene, "scene", "FruitLangs"), frame.root)
+        middle, half = find_surrounding_box(bpy_scene, frame)
+        box = make_object(
+            "Region", None, "region", ensure_owned_collection(bpy_scene, "scene", "FruitLangs"), frame.root
+        )
         box.empty_display_type = "CUBE"
         stand_upright(box, frame, middle, half)
         if context.mode == "OBJECT":
@@ -99,21 +101,22 @@ def stand_upright(box: bpy.types.Object, frame: SceneFrame, middle: Vector, half
     box.matrix_basis = Matrix.LocRotScale(middle, box.matrix_basis.to_quaternion(), half)
 
 
-def around(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> tuple[Vector, Vector]:
-    """Centre and half sides, in the upright frame, of a box around the fruit, else around what the cameras look at."""
+def find_surrounding_box(bpy_scene: bpy.types.Scene, frame: SceneFrame) -> tuple[Vector, Vector]:
+    """Find centre and half sides, in the upright frame, of a box around the fruit, else around what the cameras look
+    at."""
     # From the set values, not evaluated ones: a new object has no matrix_world yet.
     upright = upright_of(frame)
-    fruit = [upright @ frame.of(item) @ _middle(item) for item in owned_objects(bpy_scene, "fruit")]
+    fruit = [upright @ frame.of(item) @ _find_middle(item) for item in find_owned_objects(bpy_scene, "fruit")]
     if len(fruit) > 1:
         low, high = (Vector(side(place[axis] for place in fruit) for axis in range(3)) for side in (min, max))
         return (low + high) / 2.0, (high - low) * 0.55 + Vector((1e-3, 1e-3, 1e-3)) * (high - low).length
-    cameras = [(upright @ frame.of(item)).translation for item in owned_objects(bpy_scene, "camera")]
+    cameras = [(upright @ frame.of(item)).translation for item in find_owned_objects(bpy_scene, "camera")]
     reach = max((place.xy.length for place in cameras), default=2.0) / 2.0
     return Vector((0.0, 0.0, reach)), Vector((reach, reach, reach))
 
 
-def _middle(item: bpy.types.Object) -> Vector:
-    """The middle of the mesh of an object, in its own coordinates: not its origin after Apply Transform."""
+def _find_middle(item: bpy.types.Object) -> Vector:
+    """Find the middle of the mesh of an object, in its own coordinates: not its origin after Apply Transform."""
     corners = [Vector(corner) for corner in item.bound_box]
     return sum(corners, Vector()) / len(corners)
 
@@ -126,10 +129,10 @@ class FRUITLANGS_OT_remove_region(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.scene is not None and owned_object(context.scene, "region") is not None
+        return context.scene is not None and find_owned_object(context.scene, "region") is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        remove_objects(owned_objects(context.scene, "region"))
+        remove_objects(find_owned_objects(context.scene, "region"))
         return {"FINISHED"}
 
 

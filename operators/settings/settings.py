@@ -20,8 +20,8 @@ import bpy
 from ...engine.errors import FruitLangsError, SceneError, VocabularyError
 from ...engine.scene.video.frames import VIDEO_SUFFIXES
 from ...engine.setting import LARGEST, field_docs, path_kind, range_of
-from .preference_values import with_preferred_folders
-from .region import in_region
+from .preference_values import add_preferred_folders
+from .region import limit_to_region
 from .source_mark import has_mark
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ PLY = ".ply"
 SCENE_FILES = (PLY, *sorted(VIDEO_SUFFIXES))
 """Suffixes of files that are a scene."""
 PHOTO_FILE, PHOTO_PROBLEM = "photo_file", "photo_problem"
-"""Custom properties of a camera: the file of its photo, from `stored_path`, and why it is not shown."""
+"""Custom properties of a camera: the file of its photo, from `format_stored_path`, and why it is not shown."""
 MEASURES = {
     "scene": ("up",),
     "units": ("length", "points", "cameras", "object", "metres_per_unit"),
@@ -46,21 +46,21 @@ MEASURES = {
 """{stage: settings} that are valid in the frame of one source only."""
 
 
-def config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:
-    """{field: Blender property} of a config dataclass, in its order; updates: {field: update callback}.
+def make_config_properties(config_class: type, updates: Mapping[str, Callable[..., None]] = {}) -> dict[str, Any]:
+    """Return {field: Blender property} of a config dataclass, in its order; updates: {field: update callback}.
 
     If None is allowed, 0 or an empty text represents it; several texts are one text with commas, and a list of numbers
     of any length is typed as text.
     """
     docs, kinds = field_docs(config_class), typing.get_type_hints(config_class)
     return {
-        field.name: _property(kinds[field.name], field, docs.get(field.name, ""), updates.get(field.name))
+        field.name: _make_property(kinds[field.name], field, docs.get(field.name, ""), updates.get(field.name))
         for field in dataclasses.fields(config_class)
     }
 
 
 def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
-    """The config of a group made by `config_properties`.
+    """The config of a group made by `make_config_properties`.
 
     Raises:
         ConfigError: a value makes no sense.
@@ -73,10 +73,10 @@ def config_from(group: bpy.types.PropertyGroup, config_class: type) -> Any:
             values[name] = tuple(read_words(values[name]))
     for name in path_names(config_class):
         if values[name].startswith("//"):
-            values[name] = str(_absolute(values[name]))
-    missing = {name for name, value in values.items() if _optional(kinds[name]) and _is_zero(value)}
+            values[name] = str(_make_absolute(values[name]))
+    missing = {name for name, value in values.items() if _is_optional(kinds[name]) and _is_zero(value)}
     typed = {name: value.replace(",", " ").split() for name, value in values.items() if _is_list(kinds[name])}
-    plain = {name: _plain(value) for name, value in values.items()}
+    plain = {name: _to_plain(value) for name, value in values.items()}
     return config_class(**{**plain, **typed, **dict.fromkeys(missing)})
 
 
@@ -90,25 +90,25 @@ def _is_zero(value: Any) -> bool:
     return not any(value) if isinstance(value, bpy.types.bpy_prop_array) else not value
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, bpy.types.bpy_prop_array):
-        return tuple(map(_plain, value))
+        return tuple(map(_to_plain, value))
     # A property holds float32; its shortest text is what the user typed, so 0.2 stays 0.2 as on the command line.
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 
-def _optional(kind: Any) -> bool:
+def _is_optional(kind: Any) -> bool:
     return typing.get_origin(kind) in (types.UnionType, typing.Union) and type(None) in typing.get_args(kind)
 
 
-def _given(kind: Any) -> Any:
-    """The type of an optional setting."""
-    return next(choice for choice in typing.get_args(kind) if choice is not type(None)) if _optional(kind) else kind
+def _unwrap_optional(kind: Any) -> Any:
+    """Return the type of an optional setting."""
+    return next(choice for choice in typing.get_args(kind) if choice is not type(None)) if _is_optional(kind) else kind
 
 
 def _is_texts(kind: Any) -> bool:
     """Whether a setting is a list of texts, optional or not."""
-    given = _given(kind)
+    given = _unwrap_optional(kind)
     return typing.get_origin(given) is tuple and set(typing.get_args(given)) == {str}
 
 
@@ -117,16 +117,18 @@ def _is_list(kind: Any) -> bool:
     return any(Ellipsis in typing.get_args(choice) for choice in (kind, *typing.get_args(kind)))
 
 
-def _property(kind: Any, field: dataclasses.Field[Any], doc: str, update: Callable[..., None] | None = None) -> Any:
-    """The Blender property for one field."""
+def _make_property(
+    kind: Any, field: dataclasses.Field[Any], doc: str, update: Callable[..., None] | None = None
+) -> Any:
+    """Make the Blender property for one field."""
     words = field.name.replace("_", " ").title()
     named: dict[str, Any] = {
         "name": words.replace("Ssim", "SSIM").replace("Sh ", "SH "),
         "description": doc.rstrip("."),
         "update": update,
     }
-    if _optional(kind):
-        kind = _given(kind)
+    if _is_optional(kind):
+        kind = _unwrap_optional(kind)
         typed = kind is str or _is_texts(kind) or _is_list(kind)
         named["description"] += " (empty means not given)" if typed else " (0 means not given)"
         default: Any = field.default or kind()
@@ -170,16 +172,16 @@ def read_config(settings: Any, source: Path | None = None) -> Config:
     config = Config(
         **{name: config_from(getattr(settings.config, name), kind) for name, kind in stage_classes().items()}
     )
-    embed = with_preferred_folders(config.embed)
-    consent = embed.allow_download and online()
+    embed = add_preferred_folders(config.embed)
+    consent = embed.allow_download and is_online()
     config = dataclasses.replace(config, embed=dataclasses.replace(embed, allow_download=consent))
     if source is not None and is_of_another(settings, source):
-        return _unmeasured(config)
-    return dataclasses.replace(config, count=in_region(settings.id_data, config.count))
+        return _remove_measures(config)
+    return dataclasses.replace(config, count=limit_to_region(settings.id_data, config.count))
 
 
-def given_settings(settings: Any) -> set[str]:
-    """The names ("train.steps") of the panel's settings that were set, whatever their value."""
+def list_given_settings(settings: Any) -> set[str]:
+    """List the names ("train.steps") of the panel's settings that were set, whatever their value."""
     return {
         f"{stage}.{field.name}"
         for stage, kind in stage_classes().items()
@@ -188,8 +190,8 @@ def given_settings(settings: Any) -> set[str]:
     }
 
 
-def _unmeasured(config: Config) -> Config:
-    """The config without `MEASURES`."""
+def _remove_measures(config: Config) -> Config:
+    """Return the config without `MEASURES`."""
     usual = type(config)()
     stages = {}
     for stage, names in MEASURES.items():
@@ -198,7 +200,7 @@ def _unmeasured(config: Config) -> Config:
     return dataclasses.replace(config, **stages)
 
 
-def online() -> bool:
+def is_online() -> bool:
     """Whether Blender allows online access."""
     return bpy.app.online_access
 
@@ -248,21 +250,21 @@ def source_folder(settings: Any) -> Path:
     """
     if not settings.source:
         raise SceneError("No scene is chosen. Choose a folder of photos, a video or a .ply")
-    folder = _absolute(settings.source)
+    folder = _make_absolute(settings.source)
     if not folder.is_dir() and not (folder.suffix.lower() in SCENE_FILES and folder.is_file()):
         raise SceneError(f"The scene {folder} does not exist. Choose it again")
     return folder
 
 
-def imported_file(settings: Any) -> Path | None:
-    """The .ply that replaces training, absolute; None without one.
+def resolve_imported_file(settings: Any) -> Path | None:
+    """Return the .ply that replaces training, absolute; None without one.
 
     Raises:
         SceneError: it does not exist (any more).
     """
     if not settings.gaussians:
         return None
-    file = _absolute(settings.gaussians)
+    file = _make_absolute(settings.gaussians)
     if not file.is_file():
         raise SceneError(f"The file {file} does not exist. Choose it again, or empty the field to train")
     return file
@@ -272,17 +274,17 @@ def result_folder(settings: Any) -> Path:
     """The result folder: as set, else that of an earlier run on this source, else next to the .blend, else, for an
     unsaved .blend, next to the scene's."""
     if settings.out:
-        return _absolute(settings.out)
-    source = _absolute(settings.source) if settings.source else Path("scene")
-    earlier = known_path(settings.result.work)
+        return _make_absolute(settings.out)
+    source = _make_absolute(settings.source) if settings.source else Path("scene")
+    earlier = resolve_known_path(settings.result.work)
     if earlier is not None and earlier.is_dir() and not is_of_another(settings, source):
         return earlier
     beside = Path(bpy.data.filepath).parent if bpy.data.filepath else source.parent
     return beside / f"{source.stem if source.suffix.lower() in SCENE_FILES else source.name}_fruit"
 
 
-def true_source(source: Path) -> Path:
-    """The source of an earlier result, or `source` itself if it is not a result."""
+def find_true_source(source: Path) -> Path:
+    """Return the source of an earlier result, or `source` itself if it is not a result."""
     from ...engine.result_folder import ResultFolder
 
     earlier = ResultFolder(source)
@@ -294,44 +296,45 @@ def true_source(source: Path) -> Path:
 
 def is_of_another(settings: Any, source: Path) -> bool:
     """Whether the shown data, decisions and measurements belong to another source; False if their source is unknown."""
-    known = known_path(settings.result.source)
+    known = resolve_known_path(settings.result.source)
     return known is not None and not is_same_source(known, settings.result.mark, source)
 
 
 def is_same_source(known: Path, mark: str, source: Path) -> bool:
     """Whether the scene at `source` is the one at `known`: made from it, or its folder, which was moved, kept its name
     and matches its mark."""
-    true = true_source(source)
+    true = find_true_source(source)
     return known == true or (known.name == true.name and not known.exists() and has_mark(true, mark))
 
 
-def known_path(text: str) -> Path | None:
-    """A path from `stored_path`, absolute; None if there is none, or if it is relative to an unsaved .blend."""
-    return None if not text or (text.startswith("//") and not bpy.data.filepath) else _absolute(text)
+def resolve_known_path(text: str) -> Path | None:
+    """Return a path from `format_stored_path`, absolute; None if there is none, or if it is relative to an unsaved
+    .blend."""
+    return None if not text or (text.startswith("//") and not bpy.data.filepath) else _make_absolute(text)
 
 
-def stored_file(text: str) -> Path:
-    """A path from `stored_path`, absolute.
+def resolve_stored_file(text: str) -> Path:
+    """Return a path from `format_stored_path`, absolute.
 
     Raises:
         SceneError: it is relative to a .blend never saved.
     """
-    return _absolute(text)
+    return _make_absolute(text)
 
 
-def _absolute(text: str) -> Path:
+def _make_absolute(text: str) -> Path:
     if text.startswith("//") and not bpy.data.filepath:
         raise SceneError(f"The folder {text} is relative to this .blend, which was never saved. Choose it again")
     return Path(bpy.path.abspath(text)).resolve()
 
 
-def stored_path(path: Path) -> str:
-    """A path as stored in the .blend: relative to it if it was saved and is on the same drive."""
-    return relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
+def format_stored_path(path: Path) -> str:
+    """Write a path as stored in the .blend: relative to it if it was saved and is on the same drive."""
+    return make_relative_path(path, Path(bpy.data.filepath).parent) if bpy.data.filepath else str(path)
 
 
-def relative_path(path: Path, folder: Path) -> str:
-    """`path` relative to a .blend in `folder`; absolute on another drive, and where symbolic links would lead a
+def make_relative_path(path: Path, folder: Path) -> str:
+    """Return `path` relative to a .blend in `folder`; absolute on another drive, and where symbolic links would lead a
     relative path elsewhere."""
     target = path.resolve()
     for found, start in ((target, folder.resolve()), (path, folder)):
@@ -347,4 +350,4 @@ def relative_path(path: Path, folder: Path) -> str:
 
 def is_on_another_drive(text: str) -> bool:
     """Whether a path of the panel cannot be relative to the saved .blend."""
-    return bool(text and bpy.data.filepath) and not stored_path(_absolute(text)).startswith("//")
+    return bool(text and bpy.data.filepath) and not format_stored_path(_make_absolute(text)).startswith("//")

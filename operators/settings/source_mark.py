@@ -19,7 +19,7 @@ MODELS = ("transforms.json", "images.bin", "images.txt")
 def source_mark(source: Path) -> str:
     """'images/IMG_1.jpg 5f3a…' of the source; empty if it is missing or has no such file."""
     with suppress(OSError):
-        file = _telling_file(source)
+        file = _choose_marked_file(source)
         if file is not None:
             return f"{file.relative_to(source).as_posix()} {_hash(file)}"
     return ""
@@ -33,8 +33,8 @@ def has_mark(source: Path, mark: str) -> bool:
     return False
 
 
-def _telling_file(source: Path) -> Path | None:
-    """The source itself if it is a file, else its first photo, else its model or first video."""
+def _choose_marked_file(source: Path) -> Path | None:
+    """Return the source itself if it is a file, else its first photo, else its model or first video."""
     from ...engine.scene.sfm.find_cameras import PHOTO_SUFFIXES, list_photos
     from ...engine.scene.video.frames import VIDEO_SUFFIXES
 

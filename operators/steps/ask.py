@@ -22,15 +22,15 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError, OutputError, SceneError
-from ..blender_data import array, gaussian_attributes, owned_object, set_attribute
-from ..data.write_gaussians import ASKED, asked_words
-from ..jobs.jobs import describe_error, linked, redraw_sidebars
+from ..blender_data import find_owned_object, read_gaussian_attributes, set_attribute, to_array
+from ..data.write_gaussians import ASKED, join_asked_words
+from ..jobs.jobs import describe_error, is_linked, redraw_sidebars
 from ..jobs.preload import preload_libraries
 from ..jobs.target_scene import find_scene
 from ..settings.lesson import LessonText, read_lesson
-from ..settings.settings import read_config, read_prompts, read_words, stored_file
-from ..viewport.appearance import appearance_changed, apply_appearance
-from ..viewport.viewport import in_window, redraw_viewports
+from ..settings.settings import read_config, read_prompts, read_words, resolve_stored_file
+from ..viewport.appearance import apply_appearance, apply_changed_appearance
+from ..viewport.viewport import has_window, redraw_viewports
 
 if TYPE_CHECKING:
     from ...engine.config import CountConfig, EmbedConfig
@@ -65,7 +65,7 @@ class Question:
     @property
     def words(self) -> str:
         """The text that the mesh stores about it."""
-        words = asked_words(self.prompts, self.negatives)
+        words = join_asked_words(self.prompts, self.negatives)
         return words if self.lesson is None else f"{words} | {self.lesson.name} {self.lesson.mark}"
 
 
@@ -103,18 +103,18 @@ def answer(question: Question, means: NDArray[np.float32]) -> NDArray[np.float32
 
     from ...engine.language.prompts.selection import select
 
-    encoder = _encoder(question)
+    encoder = _open_encoder(question)
     if question.lesson is not None:
-        word = taught_by(question, means)
+        word = learn_word(question, means)
         words: ChainMap[str, TaughtWord] = ChainMap({word.name: word}, encoder.taught)  # type: ignore[arg-type]
         encoder = encoder.with_words(words)
-    features = _features_of(question, means)
+    features = _load_checked_features(question, means)
     places = torch.from_numpy(np.array(means))
-    return array(select(features, encoder, question.prompts, question.negatives, question.select, places))
+    return to_array(select(features, encoder, question.prompts, question.negatives, question.select, places))
 
 
-def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
-    """The word of the question's lesson.
+def learn_word(question: Question, means: NDArray[np.float32]) -> TaughtWord:
+    """Learn the word of the question's lesson.
 
     Raises:
         OutputError: the features are gone, or of other Gaussians.
@@ -123,9 +123,9 @@ def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
     from ...engine.language.teaching.lesson import Lesson, Mark
 
     assert question.lesson is not None
-    encoder = _encoder(question)
-    features = _features_of(question, means)
-    ground = _ground(question.features, os.stat(question.features).st_mtime_ns, np.array(means).tobytes())
+    encoder = _open_encoder(question)
+    features = _load_checked_features(question, means)
+    ground = _make_ground(question.features, os.stat(question.features).st_mtime_ns, np.array(means).tobytes())
     lesson = Lesson(question.lesson.name, ground, features, encoder)
     places = [(positive, np.array(place)) for positive, place in question.lesson.places]
     marks = [
@@ -135,12 +135,12 @@ def taught_by(question: Question, means: NDArray[np.float32]) -> TaughtWord:
     return lesson.word(marks)
 
 
-def _features_of(question: Question, means: NDArray[np.float32]) -> Features:
-    """The features of the question, checked to be those of Gaussians at means (N, 3)."""
+def _load_checked_features(question: Question, means: NDArray[np.float32]) -> Features:
+    """Load the features of the question, checked to be those of Gaussians at means (N, 3)."""
     import torch
 
     try:
-        features = _features(question.features, os.stat(question.features).st_mtime_ns)
+        features = _load_features(question.features, os.stat(question.features).st_mtime_ns)
     except OSError as error:
         raise OutputError(
             f"The features in {question.features} are missing. Press Reconstruct to create them again"
@@ -153,8 +153,8 @@ def _features_of(question: Question, means: NDArray[np.float32]) -> Features:
     return features
 
 
-def words_on_disk(config: EmbedConfig) -> tuple[tuple[str, int], ...]:
-    """Names and times of the files of taught words, which other programs may change."""
+def list_words_on_disk(config: EmbedConfig) -> tuple[tuple[str, int], ...]:
+    """List names and times of the files of taught words, which other programs may change."""
     from ...engine.language.encoders.open_encoder import folder_of_words
     from ...engine.language.taught.word import SUFFIX
 
@@ -165,31 +165,31 @@ def words_on_disk(config: EmbedConfig) -> tuple[tuple[str, int], ...]:
     return ()
 
 
-def _encoder(question: Question) -> Encoder:
-    """The encoder of the question, with the taught words that are on the disk now."""
-    return _embedder(question.embed, words_on_disk(question.embed)).encoder
+def _open_encoder(question: Question) -> Encoder:
+    """Open the encoder of the question, with the taught words that are on the disk now."""
+    return _open_embedder(question.embed, list_words_on_disk(question.embed)).encoder
 
 
 @lru_cache(maxsize=1)
-def _embedder(config: EmbedConfig, _words: tuple[tuple[str, int], ...]) -> Embedder:
+def _open_embedder(config: EmbedConfig, _words: tuple[tuple[str, int], ...]) -> Embedder:
     from ...engine.language.features.embedder import Embedder
 
     return Embedder.open(config)
 
 
 @lru_cache(maxsize=1)
-def _ground(path: Path, changed: int, means: bytes) -> Ground:
-    """The Gaussians at means, (N, 3) float32 as bytes, with their features, ready for clicks."""
+def _make_ground(path: Path, changed: int, means: bytes) -> Ground:
+    """Return the Gaussians at means, (N, 3) float32 as bytes, with their features, ready for clicks."""
     import torch
 
     from ...engine.language.teaching.region import Ground
 
     places = torch.frombuffer(bytearray(means), dtype=torch.float32).reshape(-1, 3)
-    return Ground.of(places, _features(path, changed))
+    return Ground.of(places, _load_features(path, changed))
 
 
 @lru_cache(maxsize=1)
-def _features(path: Path, _changed: int) -> Features:
+def _load_features(path: Path, _changed: int) -> Features:
     from ...engine.language.features.features import load_features
 
     return load_features(path)
@@ -202,7 +202,7 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
         SceneError: nothing is reconstructed yet, or its Gaussians are being edited.
         FruitLangsError: no prompt, or a setting makes no sense.
     """
-    settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
+    settings, item = bpy_scene.fruitlangs, find_owned_object(bpy_scene, "gaussians")
     if item is None or not settings.result.features:
         raise SceneError("There are no Gaussians yet. Press Reconstruct, or import a result")
     if item.mode == "EDIT":
@@ -215,16 +215,16 @@ def question_of(bpy_scene: bpy.types.Scene) -> Question:
         scene=bpy_scene.session_uid,
         prompts=tuple(read_prompts(settings)),
         negatives=tuple(read_words(settings.negative)),
-        features=stored_file(settings.result.features),
+        features=resolve_stored_file(settings.result.features),
         embed=config.embed,
         select=CountConfig(**chosen),
         lesson=read_lesson(settings),
     )
 
 
-def words_changed(settings: Any, _context: Any = None) -> None:
+def answer_changed_words(settings: Any, _context: Any = None) -> None:
     """Called when the prompt or the negatives were edited: answer soon, and report an unknown word at once."""
-    if settings.id_data.library is None and in_window():
+    if settings.id_data.library is None and has_window():
         ask_soon(settings.id_data)
 
 
@@ -239,9 +239,9 @@ def ask_soon(bpy_scene: bpy.types.Scene) -> None:
 def stop_asking() -> None:
     """Forget all questions and what answers need; called when the extension is disabled."""
     _waiting.clear()
-    _embedder.cache_clear()
-    _features.cache_clear()
-    _ground.cache_clear()
+    _open_embedder.cache_clear()
+    _load_features.cache_clear()
+    _make_ground.cache_clear()
     if bpy.app.timers.is_registered(_attend):
         bpy.app.timers.unregister(_attend)
 
@@ -254,15 +254,15 @@ def _attend() -> float | None:
             return LOOK_AGAIN
         ended, _worker = _worker, None
         _show(ended)
-    for bpy_scene in _waiting_scenes():
+    for bpy_scene in _iterate_waiting_scenes():
         _worker = _ask(bpy_scene)
         if _worker is not None:
             return LOOK_AGAIN
     return None
 
 
-def _waiting_scenes() -> Iterator[bpy.types.Scene]:
-    """Every waiting Blender scene, each once."""
+def _iterate_waiting_scenes() -> Iterator[bpy.types.Scene]:
+    """Yield every waiting Blender scene, each once."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.session_uid in _waiting:
             _waiting.discard(bpy_scene.session_uid)
@@ -273,7 +273,7 @@ def _waiting_scenes() -> Iterator[bpy.types.Scene]:
 def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
     """Start to answer; None if there is nothing to answer, which is no error while the user still enters settings, or
     if the words are answered already."""
-    item = owned_object(bpy_scene, "gaussians")
+    item = find_owned_object(bpy_scene, "gaussians")
     if item is None:
         return None
     try:
@@ -290,7 +290,7 @@ def _ask(bpy_scene: bpy.types.Scene) -> Worker | None:
 
 
 def means_of(bpy_scene: bpy.types.Scene) -> NDArray[np.float32]:
-    item = owned_object(bpy_scene, "gaussians")
+    item = find_owned_object(bpy_scene, "gaussians")
     assert item is not None
     means = np.empty(3 * len(item.data.vertices), np.float32)
     item.data.attributes["position"].data.foreach_get("vector", means)
@@ -318,7 +318,7 @@ def _show(worker: Worker) -> None:
 
 def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], words: str) -> None:
     """Write probabilities (N,) of the words into the Gaussians and show how many match."""
-    item = owned_object(bpy_scene, "gaussians")
+    item = find_owned_object(bpy_scene, "gaussians")
     if item is None or len(item.data.vertices) != len(probability):
         return
     set_attribute(item.data, "probability", "FLOAT", probability)
@@ -331,8 +331,8 @@ def show_answer(bpy_scene: bpy.types.Scene, probability: NDArray[np.float32], wo
 
 def show_answer_text(bpy_scene: bpy.types.Scene) -> None:
     """Show in the panel how many Gaussians reach the threshold; nothing before any answer."""
-    settings, item = bpy_scene.fruitlangs, owned_object(bpy_scene, "gaussians")
-    found = gaussian_attributes(bpy_scene, "probability")
+    settings, item = bpy_scene.fruitlangs, find_owned_object(bpy_scene, "gaussians")
+    found = read_gaussian_attributes(bpy_scene, "probability")
     if item is None or found is None or not item.data.get(ASKED):
         return
     probability = found[0]
@@ -341,10 +341,10 @@ def show_answer_text(bpy_scene: bpy.types.Scene) -> None:
     settings.answer.text = f"{fit:,} of {len(probability):,} Gaussians match; highest probability {highest:.2f}"
 
 
-def threshold_changed(settings: Any, _context: Any = None) -> None:
+def apply_threshold(settings: Any, _context: Any = None) -> None:
     """Called when the threshold was edited."""
     show_answer_text(settings.id_data)
-    appearance_changed(settings)
+    apply_changed_appearance(settings)
 
 
 def _tell(bpy_scene: bpy.types.Scene, problem: str) -> None:
@@ -358,8 +358,8 @@ def ask_where_words_differ(_file: Any = None, _unused: Any = None) -> None:
     """After undo, redo and loading: answer again for every scene whose highlight belongs to other words than its
     panel."""
     for bpy_scene in bpy.data.scenes:
-        item = owned_object(bpy_scene, "gaussians")
-        if item is None or not in_window():
+        item = find_owned_object(bpy_scene, "gaussians")
+        if item is None or not has_window():
             continue
         try:
             if item.data.get(ASKED) != question_of(bpy_scene).words:
@@ -386,8 +386,9 @@ def unregister_handlers() -> None:
             handlers.remove(ask_where_words_differ)
 
 
-def suggestions(settings: Any, _context: Any, typed: str) -> list[str]:
-    """Completions of a prompt: taught words, the nouns of the vocabulary, and colours and ripeness before fruit."""
+def suggest_prompts(settings: Any, _context: Any, typed: str) -> list[str]:
+    """Suggest completions of a prompt: taught words, the nouns of the vocabulary, and colours and ripeness before
+    fruit."""
     from ...engine.config import EmbedConfig
     from ...engine.language.taught.library import is_word_file, name_of
     from ...engine.language.vocabulary import CONCEPTS, FRUIT_COLOURS, FRUITS, GENERAL
@@ -396,7 +397,7 @@ def suggestions(settings: Any, _context: Any, typed: str) -> list[str]:
     begun = last.strip().casefold()
     kept = f"{before.strip()}, " if before.strip() else ""
     embed = EmbedConfig() if settings is None else read_config(settings).embed
-    taught = [name_of(file) for file, _ in words_on_disk(embed) if is_word_file(file)]
+    taught = [name_of(file) for file, _ in list_words_on_disk(embed) if is_word_file(file)]
     things = dict.fromkeys([*taught, "fruit", *CONCEPTS, *(word for word in GENERAL if word != "fruit")])
     fruits = dict.fromkeys(["fruit", *FRUITS, *taught])
     described = [f"{word} {fruit}" for fruit in fruits for word in ("ripe", "unripe", *FRUIT_COLOURS)]
@@ -406,7 +407,7 @@ def suggestions(settings: Any, _context: Any, typed: str) -> list[str]:
 
 def has_gaussians(operator: Any, context: bpy.types.Context) -> bool:
     """Whether there are Gaussians to ask; the operator's poll shows that there are none as the reason."""
-    if context.scene is not None and owned_object(context.scene, "gaussians") is not None:
+    if context.scene is not None and find_owned_object(context.scene, "gaussians") is not None:
         return True
     operator.poll_message_set("There are no Gaussians yet. Press Reconstruct, or import a result")
     return False
@@ -422,11 +423,11 @@ class FRUITLANGS_OT_ask(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not linked(cls, context) and has_gaussians(cls, context)
+        return not is_linked(cls, context) and has_gaussians(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        if in_window():  # loading the features would interrupt typing
-            item = owned_object(context.scene, "gaussians")
+        if has_window():  # loading the features would interrupt typing
+            item = find_owned_object(context.scene, "gaussians")
             assert item is not None
             item.data[ASKED] = ""
             ask_soon(context.scene)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.progress import duration
-from ..jobs.jobs import ROUNDING, JobOperator, Work, busy, linked
-from ..settings.settings import read_config, source_folder, stored_path, true_source
+from ..jobs.jobs import ROUNDING, JobOperator, Work, is_busy, is_linked
+from ..settings.settings import find_true_source, format_stored_path, read_config, source_folder
 
 if TYPE_CHECKING:
     from ...engine.config import Config
@@ -31,7 +31,7 @@ class FRUITLANGS_OT_check_photos(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context) or context.scene is None:
+        if is_busy(cls) or is_linked(cls, context) or context.scene is None:
             return False
         if not context.scene.fruitlangs.source:
             cls.poll_message_set("Choose the folder of the photos first")
@@ -41,7 +41,7 @@ class FRUITLANGS_OT_check_photos(JobOperator, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
         self._source = source_folder(settings)
-        config, photos = read_config(settings, self._source), true_source(self._source)
+        config, photos = read_config(settings, self._source), find_true_source(self._source)
         self._sheet = Path(bpy.app.tempdir or tempfile.gettempdir()) / "fruitlangs_contact_sheet.jpg"
         return lambda progress: check(photos, config, self._sheet, progress)
 
@@ -49,7 +49,7 @@ class FRUITLANGS_OT_check_photos(JobOperator, bpy.types.Operator):
         show_check(self._target.scene(context), result, self._source)
         if result.photos:
             load_sheet(self._sheet)
-        self.report({"INFO"}, summary(result))
+        self.report({"INFO"}, summarise(result))
 
 
 def check(photos: Path, config: Config, sheet: Path, progress: Progress) -> PhotoCheck:
@@ -63,7 +63,7 @@ def check(photos: Path, config: Config, sheet: Path, progress: Progress) -> Phot
     return found
 
 
-def summary(found: PhotoCheck) -> str:
+def summarise(found: PhotoCheck) -> str:
     """'60 photos: 0 problems, 1 warning. A run takes about 4 min and 1.1 GB'."""
     cost = (
         f". A run takes about {duration(found.seconds, ROUNDING)} and {found.bytes / 2**30:.1f} GB"
@@ -76,7 +76,7 @@ def summary(found: PhotoCheck) -> str:
 def show_check(bpy_scene: bpy.types.Scene, found: PhotoCheck, source: Path) -> None:
     """Store the findings for the panel."""
     shown = bpy_scene.fruitlangs.check
-    shown.summary, shown.source = summary(found), stored_path(source)
+    shown.summary, shown.source = summarise(found), format_stored_path(source)
     shown.findings.clear()
     for finding in found.findings:
         item = shown.findings.add()

@@ -9,9 +9,9 @@ import bpy
 
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
-from ..settings.settings import read_prompts, read_words, stored_path
+from ..settings.settings import format_stored_path, read_prompts, read_words
 from .preview import SceneJob
-from .show_result import count_report, show_result
+from .show_result import make_count_report, show_result
 
 
 class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
@@ -60,8 +60,8 @@ class FRUITLANGS_OT_count(SceneJob, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> None:
         bpy_scene = self._target.scene(context)
         show_result(context, bpy_scene, result)
-        bpy_scene.fruitlangs.result.work = stored_path(self._out)
-        level, text = count_report(bpy_scene.fruitlangs.result, result.fruit_count)
+        bpy_scene.fruitlangs.result.work = format_stored_path(self._out)
+        level, text = make_count_report(bpy_scene.fruitlangs.result, result.fruit_count)
         self.report(level, f"{text}; files are in {result.out}")
 
 

@@ -8,14 +8,14 @@ from functools import cache
 ON_CPU = "Trains on the CPU"
 
 
-def trains_on(wanted: str) -> str:
-    """Which device a setting names, for people; empty until the drivers have answered."""
-    found = _asked(wanted.strip() or "auto")
+def describe_device(wanted: str) -> str:
+    """Say which device a setting names, for people; empty until the drivers have answered."""
+    found = _start_answer(wanted.strip() or "auto")
     return found.result() if found.done() else ""
 
 
 @cache
-def _asked(wanted: str) -> Future[str]:
+def _start_answer(wanted: str) -> Future[str]:
     pool = ThreadPoolExecutor(1)
     answer = pool.submit(_answer, wanted)
     pool.shutdown(wait=False)

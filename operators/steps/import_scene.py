@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ...engine.progress import part
-from ..jobs.jobs import JobOperator, Work, being_edited, busy, linked
-from ..settings.settings import PLY, SCENE_FILES, read_config, result_folder, source_folder, stored_path
+from ..jobs.jobs import JobOperator, Work, is_being_edited, is_busy, is_linked
+from ..settings.settings import PLY, SCENE_FILES, format_stored_path, read_config, result_folder, source_folder
 from .show_result import report_line, show_reconstruction, show_result, show_scene
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not (busy(cls) or linked(cls, context) or being_edited(cls, context)) and context.scene is not None
+        return (
+            not (is_busy(cls) or is_linked(cls, context) or is_being_edited(cls, context)) and context.scene is not None
+        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not bpy.app.background and self.must_ask(context.scene.fruitlangs):
@@ -67,7 +69,7 @@ class FRUITLANGS_OT_import_scene(JobOperator, bpy.types.Operator):
     def prepare(self, context: bpy.types.Context) -> Work:
         settings = context.scene.fruitlangs
         if self.chosen:
-            settings.source = stored_path(Path(bpy.path.abspath(self.chosen)))
+            settings.source = format_stored_path(Path(bpy.path.abspath(self.chosen)))
         source = source_folder(settings)
         if (source / "fruits.json").is_file():
             self._show = self._show_result

@@ -9,8 +9,8 @@ from bpy.app.handlers import persistent
 
 from ..data.fruit_objects import LAST_ID
 from ..data.manual_edits import remember_fruit
-from ..settings.panel_state import STORED, PanelState, show_state, stored_panel
-from ..viewport.viewport import in_window
+from ..settings.panel_state import STORED, PanelState, read_stored_panel, show_state
+from ..viewport.viewport import has_window
 from .ask import show_answer_text
 
 
@@ -19,7 +19,7 @@ def show_stored(_file: Any = None, _unused: Any = None) -> None:
     """After loading: move what the command line stored into the properties of the extension."""
     for bpy_scene in bpy.data.scenes:
         if bpy_scene.library is None and hasattr(bpy_scene, "fruitlangs"):
-            state = stored_panel(bpy_scene)
+            state = read_stored_panel(bpy_scene)
             if state is not None:
                 show_panel(bpy_scene, state)
                 del bpy_scene[STORED]
@@ -42,7 +42,7 @@ def show_panel(bpy_scene: bpy.types.Scene, state: PanelState) -> None:
 def register_handlers() -> None:
     """Watch loading; a file that is open already follows when the extension is registered."""
     bpy.app.handlers.load_post.append(show_stored)
-    if in_window():  # the .blend must not change while an extension is registered
+    if has_window():  # the .blend must not change while an extension is registered
         bpy.app.timers.register(show_stored, first_interval=0.0)
     elif hasattr(bpy.data, "scenes"):
         show_stored()

@@ -12,23 +12,23 @@ import bpy
 from mathutils import Matrix, Vector
 
 from ...engine.errors import SceneError
-from ..blender_data import array, owned_object
+from ..blender_data import find_owned_object, to_array
 from ..data.write_gaussians import REACH
-from ..data.write_root import GROUND, looked_at, root_matrix
+from ..data.write_root import GROUND, find_focus, root_matrix
 from ..drawing import splat_drawing
-from ..jobs.jobs import JobOperator, being_edited, busy, linked
+from ..jobs.jobs import JobOperator, is_being_edited, is_busy, is_linked
 from ..jobs.target_scene import find_scene
 from ..scene_frame import scene_frame
 from ..settings.settings import (
-    given_settings,
-    imported_file,
     is_of_another,
+    list_given_settings,
     read_config,
+    resolve_imported_file,
     result_folder,
     source_folder,
 )
 from ..viewport.splats import Splats, splats_in_training
-from ..viewport.viewport import look_from_around, shown_screens
+from ..viewport.viewport import find_screens, look_from_around
 
 if TYPE_CHECKING:
     from ...engine.config import Config
@@ -48,10 +48,10 @@ class Preview:
     """
 
     def __init__(self, bpy_scene: bpy.types.Scene, source: Path) -> None:
-        root = owned_object(bpy_scene, "root")
+        root = find_owned_object(bpy_scene, "root")
         other = is_of_another(bpy_scene.fruitlangs, source)
         self._scene = bpy_scene.session_uid
-        self._root: Any = None if root is None or other else _to_world(bpy_scene)
+        self._root: Any = None if root is None or other else _find_world_transform(bpy_scene)
         self._ground = None if other or GROUND not in bpy_scene else list(bpy_scene[GROUND])
         self._latest: tuple[Splats, Scene] | None = None
         self._shown: Splats | None = None
@@ -60,11 +60,11 @@ class Preview:
     def watch(self, gaussians: Gaussians, scene: Scene) -> None:
         """Keep a copy of the Gaussians; called by the training thread."""
         splats = splats_in_training(
-            array(gaussians.means),
-            array(gaussians.scales),
-            array(gaussians.quats),
-            array(gaussians.base_colors),
-            array(gaussians.opacities),
+            to_array(gaussians.means),
+            to_array(gaussians.scales),
+            to_array(gaussians.quats),
+            to_array(gaussians.base_colors),
+            to_array(gaussians.opacities),
             gaussians.antialiased,
         )
         self._latest = splats, scene
@@ -78,22 +78,22 @@ class Preview:
         if self._shown is None and self._root is None:
             self._turn_to(context, scene, matrix)
         self._shown, self._last = splats, time.monotonic()
-        centre = tuple(looked_at(scene).tolist())
+        centre = tuple(find_focus(scene).tolist())
         splat_drawing.show_preview(self._scene, splat_drawing.Interim(splats, matrix, centre, REACH * scene.extent))
 
     def _turn_to(self, context: bpy.types.Context, scene: Scene, matrix: Matrix) -> None:
         bpy_scene = find_scene(self._scene)
         if bpy_scene is not None:
             places = [matrix @ Vector(camera.center.tolist()) for camera in scene.cameras]
-            look_from_around(shown_screens(context, bpy_scene), places, Matrix())
+            look_from_around(find_screens(context, bpy_scene), places, Matrix())
 
     def remove(self) -> None:
         """Draw the Gaussians of the .blend again."""
         splat_drawing.show_preview(self._scene, None)
 
 
-def _to_world(bpy_scene: bpy.types.Scene) -> Matrix | None:
-    """From the shown scene's frame to the world; None if its objects were moved apart."""
+def _find_world_transform(bpy_scene: bpy.types.Scene) -> Matrix | None:
+    """Return the transform from the shown scene's frame to the world; None if its objects were moved apart."""
     try:
         return scene_frame(bpy_scene).to_world
     except SceneError:
@@ -131,23 +131,23 @@ class SceneJob(JobOperator):
         return Run(
             source=source,
             out=self._out,
-            imported=imported_file(settings),
+            imported=resolve_imported_file(settings),
             config=read_config(settings, source),
-            given=given_settings(settings),
+            given=list_given_settings(settings),
             watch=self._preview.watch,
         )
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context) or being_edited(cls, context):
+        if is_busy(cls) or is_linked(cls, context) or is_being_edited(cls, context):
             return False
         if context.scene is None or not context.scene.fruitlangs.source:
             cls.poll_message_set("Choose a scene first")
             return False
         return True
 
-    def ticked(self, context: bpy.types.Context) -> None:
+    def update_display(self, context: bpy.types.Context) -> None:
         self._preview.show(context)
 
-    def ended(self, context: bpy.types.Context) -> None:
+    def clear_display(self, context: bpy.types.Context) -> None:
         self._preview.remove()

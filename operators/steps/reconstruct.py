@@ -8,7 +8,7 @@ import bpy
 
 from ...engine.progress import Progress
 from ..jobs.jobs import Work
-from ..settings.settings import stored_path
+from ..settings.settings import format_stored_path
 from .preview import SceneJob
 from .show_result import show_reconstruction
 
@@ -43,7 +43,7 @@ class FRUITLANGS_OT_reconstruct(SceneJob, bpy.types.Operator):
         made, log = result
         bpy_scene = self._target.scene(context)
         notices = show_reconstruction(context, bpy_scene, made, log)
-        bpy_scene.fruitlangs.result.work = stored_path(self._out)
+        bpy_scene.fruitlangs.result.work = format_stored_path(self._out)
         again = f", reused: {', '.join(log.reused)}" if log.reused else ""
         self.report({"INFO"}, "; ".join([f"{len(made.gaussians):,} Gaussians{again}", *notices]))
 

@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...engine.report.words import format_three_digits
-from ..blender_data import array, gaussian_attributes, owned_object, owned_objects, set_attribute
+from ..blender_data import find_owned_object, find_owned_objects, read_gaussian_attributes, set_attribute, to_array
 from ..data.fruit_objects import metres_per_unit
-from ..data.read_fruits import counted
-from ..data.read_gaussians import edits_of, gaussian_indices, unmoved
+from ..data.read_fruits import has_count
+from ..data.read_gaussians import edits_of, find_unmoved, gaussian_indices
 from ..data.stored_review import keep_decisions, keep_last_corrections
 from ..data.write import SET_ID, write_result
 from ..data.write_cameras import write_cameras
-from ..data.write_gaussians import asked_words, write_gaussians
+from ..data.write_gaussians import join_asked_words, write_gaussians
 from ..data.write_points import hide_points, write_points
 from ..data.write_root import write_root
 from ..settings.panel_state import count_state, gaussians_state, scene_state, show_state
-from ..settings.settings import source_folder, stored_path
+from ..settings.settings import format_stored_path, source_folder
 from ..viewport.appearance import appearance_of, apply_appearance
-from ..viewport.viewport import look_at_scene, show_colors, shown_screens
+from ..viewport.viewport import find_screens, look_at_scene, show_colors
 from .ask import ask_soon, show_answer_text
 from .shown_source import enter_source, forget_count
 
@@ -47,7 +47,7 @@ def show_scene(
     """
     settings = bpy_scene.fruitlangs
     removed = enter_source(bpy_scene, source_folder(settings)) if settings.source else []
-    if scene.metres_per_unit is None and owned_objects(bpy_scene, "fruit"):
+    if scene.metres_per_unit is None and find_owned_objects(bpy_scene, "fruit"):
         scene = dataclasses.replace(scene, metres_per_unit=metres_per_unit(bpy_scene))
     root = write_root(bpy_scene, scene)
     if len(scene.points):
@@ -58,8 +58,8 @@ def show_scene(
     notices = [*removed, *notices]
     if notices:  # otherwise the messages of an earlier import or of the shown count still apply
         settings.result.notices = "; ".join(notices)
-    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
-    look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+    show_colors(find_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
+    look_at_scene(find_screens(context, bpy_scene), bpy_scene)
     return notices
 
 
@@ -73,13 +73,13 @@ def show_reconstruction(
     count.
     """
     notices = _enter(bpy_scene, made.origin)
-    owners = _owners(bpy_scene, made)
-    if owners is None and counted(bpy_scene):
+    owners = _find_owners(bpy_scene, made)
+    if owners is None and has_count(bpy_scene):
         notices += forget_count(bpy_scene)
         notices.append("the earlier count was removed, because the Gaussians or their scale changed. Count again")
-    first = owned_object(bpy_scene, "root") is None
-    first_gaussians = owned_object(bpy_scene, "gaussians") is None
-    edits = edits_of(bpy_scene, array(made.gaussians.means))
+    first = find_owned_object(bpy_scene, "root") is None
+    first_gaussians = find_owned_object(bpy_scene, "gaussians") is None
+    edits = edits_of(bpy_scene, to_array(made.gaussians.means))
     if edits:
         notices.append(f"Edited Gaussians are as reconstructed again: {edits.text}")
     root = write_root(bpy_scene, made.scene)
@@ -92,12 +92,12 @@ def show_reconstruction(
     write_cameras(bpy_scene, made.scene, root)
     shown = bpy_scene.fruitlangs.result
     show_state(shown, scene_state(made.scene))
-    features = stored_path(made.files.features)
+    features = format_stored_path(made.files.features)
     show_state(shown, gaussians_state(len(made.gaussians), made.origin["training"], features))
     shown.notices = "; ".join([*log.notices, *notices])
-    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
+    show_colors(find_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
-        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+        look_at_scene(find_screens(context, bpy_scene), bpy_scene)
     if not bpy.app.background:
         ask_soon(bpy_scene)
     return notices
@@ -106,14 +106,14 @@ def show_reconstruction(
 def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: Result) -> None:
     """Show everything about a count."""
     notices = [*_enter(bpy_scene, result.origin), *keep_last_corrections(bpy_scene)]
-    first = owned_object(bpy_scene, "root") is None
-    first_gaussians = owned_object(bpy_scene, "gaussians") is None
-    edits = edits_of(bpy_scene, array(result.gaussians.means))
+    first = find_owned_object(bpy_scene, "root") is None
+    first_gaussians = find_owned_object(bpy_scene, "gaussians") is None
+    edits = edits_of(bpy_scene, to_array(result.gaussians.means))
     if edits:
         notices.append(
             f"Edited Gaussians were counted as reconstructed: {edits.text}. To leave out a part, add a region in step 1"
         )
-    asked = asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
+    asked = join_asked_words(result.origin["prompts"], result.origin.get("negatives", ()))
     write_result(bpy_scene, result.scene, result.gaussians, result.probability, result.fruit_count, asked)
     if first_gaussians:
         hide_points(bpy_scene)
@@ -124,16 +124,16 @@ def show_result(context: bpy.types.Context, bpy_scene: bpy.types.Scene, result: 
     shown = bpy_scene.fruitlangs.result
     shown.notices = "; ".join([*filter(None, [shown.notices]), *notices])
     show_answer_text(bpy_scene)
-    show_colors(shown_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
+    show_colors(find_screens(context, bpy_scene), splats=appearance_of(bpy_scene).style == "SPLATS")
     if first:
-        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+        look_at_scene(find_screens(context, bpy_scene), bpy_scene)
 
 
-def _owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
-    """(N,) the fruit of each Gaussian, -1 for those that the user deleted; None if the Gaussians or their scale have
-    changed."""
-    item, found = owned_object(bpy_scene, "gaussians"), gaussian_attributes(bpy_scene, "fruit_id")
-    if item is None or found is None or unmoved(bpy_scene, array(made.gaussians.means)) is None:
+def _find_owners(bpy_scene: bpy.types.Scene, made: Reconstruction) -> NDArray[Any] | None:
+    """Find the fruit (N,) of each Gaussian, -1 for those that the user deleted; None if the Gaussians or their scale
+    have changed."""
+    item, found = find_owned_object(bpy_scene, "gaussians"), read_gaussian_attributes(bpy_scene, "fruit_id")
+    if item is None or found is None or find_unmoved(bpy_scene, to_array(made.gaussians.means)) is None:
         return None
     owners = np.full(len(made.gaussians), -1, np.int32)
     owners[gaussian_indices(item.data)] = found[0]
@@ -148,10 +148,10 @@ def _enter(bpy_scene: bpy.types.Scene, origin: Mapping[str, Any]) -> list[str]:
 def keep_result(settings: Any, result: Result) -> None:
     """Store in the .blend what the panel shows about a count."""
     shown = settings.result
-    features = stored_path(result.out / "features.safetensors")
+    features = format_stored_path(result.out / "features.safetensors")
     show_state(shown, scene_state(result.scene))
     show_state(shown, gaussians_state(len(result.gaussians), result.origin["training"], features))
-    show_state(shown, count_state(result, settings.prompt, stored_path(result.out)))
+    show_state(shown, count_state(result, settings.prompt, format_stored_path(result.out)))
     shown.exported = ""
 
 
@@ -162,8 +162,9 @@ def report_line(shown: Any) -> str:
     return f"{shown.label}: 0, {shown.zero_reason}"
 
 
-def count_report(shown: Any, fruit_count: FruitCount) -> tuple[set[str], str]:
-    """The type of the report about a count and its text: a warning if fruit may have been taken for other kinds."""
+def make_count_report(shown: Any, fruit_count: FruitCount) -> tuple[set[str], str]:
+    """Return the type of the report about a count and its text: a warning if fruit may have been taken for other
+    kinds."""
     text, others = report_line(shown), fruit_count.other_fruit
     if not others:
         return {"INFO"}, text

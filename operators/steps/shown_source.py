@@ -8,15 +8,22 @@ from typing import Any
 import bpy
 from mathutils import Matrix
 
-from ..blender_data import owned_object, owned_objects, remove_objects
+from ..blender_data import find_owned_object, find_owned_objects, remove_objects
 from ..data.photo_files import remove_backgrounds
 from ..data.stored_audit import AUDIT
-from ..data.stored_review import keep_last_corrections, kept_text
+from ..data.stored_review import describe_kept, keep_last_corrections
 from ..data.write import SET_ID
 from ..data.write_root import GROUND, METRES
 from ..root_placement import place_root, placement_of, root_frame
 from ..scene_frame import SceneFrame
-from ..settings.settings import MEASURES, is_of_another, is_same_source, known_path, stored_path, true_source
+from ..settings.settings import (
+    MEASURES,
+    find_true_source,
+    format_stored_path,
+    is_of_another,
+    is_same_source,
+    resolve_known_path,
+)
 from ..settings.source_mark import source_mark
 
 OF_SOURCE = ("source", "mark", "work")
@@ -31,12 +38,12 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
     settings, notices = bpy_scene.fruitlangs, []
     if is_of_another(settings, source):
         notices = _leave_source(bpy_scene)
-    true, review = true_source(source), settings.review
-    settings.result.source = stored_path(true)
+    true, review = find_true_source(source), settings.review
+    settings.result.source = format_stored_path(true)
     settings.result.mark = source_mark(true) or settings.result.mark
     for index in reversed(range(len(review.aside))):
         kept = review.aside[index]
-        known = known_path(kept.source)
+        known = resolve_known_path(kept.source)
         if known is not None and is_same_source(known, kept.mark, source):
             _move_log(kept.log, review.log)
             review.aside.remove(index)
@@ -44,27 +51,27 @@ def enter_source(bpy_scene: bpy.types.Scene, source: Path) -> list[str]:
 
 
 def _leave_source(bpy_scene: bpy.types.Scene) -> list[str]:
-    settings, root = bpy_scene.fruitlangs, owned_object(bpy_scene, "root")
-    source = known_path(settings.result.source)
+    settings, root = bpy_scene.fruitlangs, find_owned_object(bpy_scene, "root")
+    source = resolve_known_path(settings.result.source)
     notices = forget_count(bpy_scene)
     decisions = len(settings.review.log)
     if decisions:
         kept = settings.review.aside.add()
         kept.source, kept.mark = settings.result.source, settings.result.mark
         _move_log(settings.review.log, kept.log)
-    measured = _forget_measures(bpy_scene) or owned_object(bpy_scene, "region") is not None
+    measured = _forget_measures(bpy_scene) or find_owned_object(bpy_scene, "region") is not None
     frame = root_frame(bpy_scene)
     placed = frame is not None and placement_of(frame) is not None
-    remove_backgrounds(owned_objects(bpy_scene, "camera"))
+    remove_backgrounds(find_owned_objects(bpy_scene, "camera"))
     for role in ("gaussians", "points", "region", "camera"):
-        remove_objects(owned_objects(bpy_scene, role))
+        remove_objects(find_owned_objects(bpy_scene, role))
     if root is not None:
         root[METRES] = 0.0
         place_root(SceneFrame(root, Matrix()), Matrix(), None)
     for name in OF_SOURCE:
         settings.result.property_unset(name)
     if decisions:
-        notices.append(f"{kept_text(decisions, str(source))} until it is shown again")
+        notices.append(f"{describe_kept(decisions, str(source))} until it is shown again")
     if measured:
         notices.append(
             f"the scale, ground and region of {source} were removed, because they do not apply to this scene"
@@ -78,7 +85,7 @@ def forget_count(bpy_scene: bpy.types.Scene) -> list[str]:
     """Remove the fruit and the answer with their texts in the panel; decisions stay in the log. Returns what was
     logged or could not be, as texts."""
     notices = keep_last_corrections(bpy_scene)
-    remove_objects(owned_objects(bpy_scene, "fruit"))
+    remove_objects(find_owned_objects(bpy_scene, "fruit"))
     settings = bpy_scene.fruitlangs
     settings.review.known.clear()
     for group in (settings.result, settings.answer):

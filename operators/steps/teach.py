@@ -13,7 +13,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
-from ..blender_data import owned_object
+from ..blender_data import find_owned_object
 from ..data.fruit_objects import (
     ADDED,
     CONFIRMED,
@@ -25,13 +25,13 @@ from ..data.fruit_objects import (
     members,
     spot_of,
 )
-from ..jobs.jobs import busy, describe_error, linked
+from ..jobs.jobs import describe_error, is_busy, is_linked
 from ..scene_frame import scene_frame
 from ..settings.lesson import read_lesson
 from ..settings.settings import read_config
 from ..tools.pick_tool import PickTool
-from ..viewport.viewport import in_window, look_at_point, shown_screens
-from .ask import ask_soon, has_gaussians, means_of, question_of, taught_by
+from ..viewport.viewport import find_screens, has_window, look_at_point
+from .ask import ask_soon, has_gaussians, learn_word, means_of, question_of
 
 DISTANCE = 0.4
 """Distance from which an example is shown, in standard deviations of the Gaussians' positions."""
@@ -46,7 +46,7 @@ def begin(settings: Any) -> None:
 
 def show_soon(settings: Any, _context: Any = None) -> None:
     """Called when the word or an example changed: the highlight follows, in a window."""
-    if settings.id_data.library is None and in_window():
+    if settings.id_data.library is None and has_window():
         ask_soon(settings.id_data)
 
 
@@ -64,7 +64,7 @@ class Teaching:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context) or not has_gaussians(cls, context):
+        if is_busy(cls) or is_linked(cls, context) or not has_gaussians(cls, context):
             return False
         if not context.scene.fruitlangs.teach.word.strip():
             cls.poll_message_set("Enter the name of the word first")
@@ -91,10 +91,10 @@ class FRUITLANGS_OT_add_examples(Teaching, PickTool, bpy.types.Operator):
             return {"CANCELLED"}
         return super().invoke(context, event)
 
-    def clicked(self: Any, context: bpy.types.Context, point: NDArray[np.float64], event: bpy.types.Event) -> None:
+    def handle_click(self: Any, context: bpy.types.Context, point: NDArray[np.float64], event: bpy.types.Event) -> None:
         add_example(context.scene.fruitlangs, point, positive=not event.shift, source="click")
 
-    def taken_back(self: Any, context: bpy.types.Context) -> None:
+    def take_back_click(self: Any, context: bpy.types.Context) -> None:
         remove_example(context.scene.fruitlangs, len(context.scene.fruitlangs.teach.examples) - 1)
 
 
@@ -108,7 +108,7 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
     def poll(cls: Any, context: bpy.types.Context) -> bool:
         if not super().poll(context):
             return False
-        if not reviewed(context.scene):
+        if not list_reviewed(context.scene):
             cls.poll_message_set("No fruit is reviewed yet. Confirm or reject some in step 5")
             return False
         return True
@@ -122,7 +122,7 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         alone = []
-        for item in reviewed(context.scene):
+        for item in list_reviewed(context.scene):
             source = f"fruit {item.get('id', 0)}"
             if source in known:
                 continue
@@ -137,8 +137,8 @@ class FRUITLANGS_OT_add_reviewed(Teaching, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def reviewed(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The fruit that the user has decided on."""
+def list_reviewed(bpy_scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """List the fruit that the user has decided on."""
     collection = fruit_collection(bpy_scene)
     items = [] if collection is None else list(collection.objects)
     return [item for item in items if item.get(REVIEW) in (CONFIRMED, ADDED, REJECTED)]
@@ -149,7 +149,7 @@ class Listed:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context) or context.scene is None:
+        if is_busy(cls) or is_linked(cls, context) or context.scene is None:
             return False
         teach = context.scene.fruitlangs.teach
         if not 0 <= teach.active < len(teach.examples):
@@ -189,9 +189,11 @@ class FRUITLANGS_OT_look_at_example(Listed, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         place = frame.to_world @ Vector(teach.examples[teach.active].place)
-        spread = float(means_of(context.scene).std(axis=0).mean()) if owned_object(context.scene, "gaussians") else 1.0
+        spread = (
+            float(means_of(context.scene).std(axis=0).mean()) if find_owned_object(context.scene, "gaussians") else 1.0
+        )
         distance = frame.world_scale * DISTANCE * spread
-        look_at_point(shown_screens(context, context.scene), place, distance)
+        look_at_point(find_screens(context, context.scene), place, distance)
         return {"FINISHED"}
 
 
@@ -216,7 +218,7 @@ class FRUITLANGS_OT_save_word(Teaching, bpy.types.Operator):
 
         settings = context.scene.fruitlangs
         try:
-            word = taught_by(question_of(context.scene), means_of(context.scene))
+            word = learn_word(question_of(context.scene), means_of(context.scene))
             file = word_file(folder_of_words(read_config(settings).embed), word.name)
             file.parent.mkdir(parents=True, exist_ok=True)
             save_word(file, word)

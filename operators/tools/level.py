@@ -11,20 +11,20 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
-from ..blender_data import owned_object, owned_objects
+from ..blender_data import find_owned_object, find_owned_objects
 from ..data.write_root import GROUND
-from ..root_placement import place_root, placement_of, upright_of, without_tilt
+from ..root_placement import place_root, placement_of, remove_tilt, upright_of
 from ..scene_frame import SceneFrame, scene_frame
 from ..settings.region import stand_upright
-from ..viewport.viewport import look_at_scene, shown_screens
+from ..viewport.viewport import find_screens, look_at_scene
 from .pick_tool import PickTool
 
 LEAST_SINE = 0.02
 """Least sine of the angle between two sides of the picked triangle that defines a plane."""
 
 
-def plane_up(points: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(3,) unit normal of the plane through points (3, 3), on the side of `above` (3,); None for a line."""
+def find_plane_up(points: NDArray[np.float64], above: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Find the unit normal (3,) of the plane through points (3, 3), on the side of `above` (3,); None for a line."""
     first, second = points[1] - points[0], points[2] - points[0]
     normal = np.cross(first, second)
     size = np.linalg.norm(first) * np.linalg.norm(second)
@@ -54,7 +54,7 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
         description="Positions x y z of three points on the ground",
     )
 
-    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+    def handle_points(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         self.points = points.ravel().tolist()
         return self.execute(context)
 
@@ -66,20 +66,20 @@ class FRUITLANGS_OT_set_ground(PickTool, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         points = np.array(self.points, np.float64).reshape(3, 3)
-        cameras = owned_objects(bpy_scene, "camera")
+        cameras = find_owned_objects(bpy_scene, "camera")
         above = np.mean([frame.of(item).translation for item in cameras], axis=0) if cameras else points[0]
-        up = plane_up(points, above)
+        up = find_plane_up(points, above)
         if up is None:
             self.report({"ERROR"}, "The three points lie on a line. Click on three points that form a triangle")
             return {"CANCELLED"}
         bpy_scene.fruitlangs.config.scene.up = up.tolist()
         bpy_scene[GROUND] = points.mean(axis=0).tolist()
-        box = owned_object(bpy_scene, "region")
+        box = find_owned_object(bpy_scene, "region")
         place = None if box is None else frame.of(box).translation
         level(frame, up, points.mean(axis=0))
         if box is not None and place is not None:
             stand_upright(box, frame, upright_of(frame) @ place, box.matrix_basis.to_scale())
-        look_at_scene(shown_screens(context, bpy_scene), bpy_scene)
+        look_at_scene(find_screens(context, bpy_scene), bpy_scene)
         self.report({"INFO"}, "The ground is level, at height 0. The next count uses it")
         return {"FINISHED"}
 
@@ -94,7 +94,7 @@ def level(frame: SceneFrame, up: NDArray[np.float64], ground: NDArray[np.float64
     upright = turned.rotation_difference(Vector((0.0, 0.0, 1.0))).to_matrix().to_4x4() @ upright
     height = (upright @ Vector(ground.tolist())).z
     upright = Matrix.Translation((0.0, 0.0, -height)) @ upright
-    place_root(frame, upright, without_tilt(placement_of(frame)))
+    place_root(frame, upright, remove_tilt(placement_of(frame)))
 
 
 CLASSES = (FRUITLANGS_OT_set_ground,)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ...engine.language.teaching.ray_hits import pick_point, pick_surface
-from ..blender_data import get_attribute, owned_object, point_positions
+from ..blender_data import find_owned_object, get_attribute, point_positions
 from ..jobs.active_tool import begin_waiting, end_waiting, is_waiting
-from ..jobs.jobs import LEAVE_EDITING, busy, linked, show_status
+from ..jobs.jobs import LEAVE_EDITING, is_busy, is_linked, show_status
 from ..scene_frame import scene_frame
 from ..viewport.viewport import Drawing, redraw_viewports
 
@@ -38,9 +38,9 @@ class Target3D:
     """
 
     def __init__(self, bpy_scene: bpy.types.Scene) -> None:
-        item = owned_object(bpy_scene, "gaussians")
+        item = find_owned_object(bpy_scene, "gaussians")
         self.surface = item is not None
-        item = item or owned_object(bpy_scene, "points")
+        item = item or find_owned_object(bpy_scene, "points")
         assert item is not None
         frame = scene_frame(bpy_scene)
         self.to_world, self._from_world = frame.to_world, frame.from_world()
@@ -48,8 +48,8 @@ class Target3D:
         self._means = point_positions(item)
         self._rest = [get_attribute(item.data, name) for name in names]
 
-    def hit(self, region: Any, view: Any, place: Sequence[float]) -> NDArray[np.float64] | None:
-        """(3,) the point under a click at `place`, pixels of the region; None if there is none."""
+    def find_hit(self, region: Any, view: Any, place: Sequence[float]) -> NDArray[np.float64] | None:
+        """Find the point (3,) under a click at `place`, pixels of the region; None if there is none."""
         back = self._from_world
         self.direction = np.zeros(3)
         start = view3d_utils.region_2d_to_origin_3d(region, view, place)
@@ -82,24 +82,24 @@ class PickTool:
 
     @classmethod
     def poll(cls: Any, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if is_busy(cls) or is_linked(cls, context):
             return False
-        if context.scene is None or owned_object(context.scene, "root") is None:
+        if context.scene is None or find_owned_object(context.scene, "root") is None:
             cls.poll_message_set("There is nothing to click on yet: import a scene first")
             return False
-        if not any(owned_object(context.scene, role) for role in ("gaussians", "points")):
+        if not any(find_owned_object(context.scene, role) for role in ("gaussians", "points")):
             cls.poll_message_set("There is nothing to click on yet: press Reconstruct")
             return False
         return True
 
-    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+    def handle_points(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         """Called when all points were clicked, (P, 3) in the scene frame."""
         raise NotImplementedError
 
-    def clicked(self, context: bpy.types.Context, point: NDArray[np.float64], event: bpy.types.Event) -> None:
+    def handle_click(self, context: bpy.types.Context, point: NDArray[np.float64], event: bpy.types.Event) -> None:
         """Called after every click of an endless tool, with the point (3,) in the scene frame."""
 
-    def taken_back(self, context: bpy.types.Context) -> None:
+    def take_back_click(self, context: bpy.types.Context) -> None:
         """Called after Backspace in an endless tool."""
 
     def invoke(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -125,7 +125,7 @@ class PickTool:
         return {"RUNNING_MODAL"}
 
     def modal(self: Any, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        area = self._area(context)
+        area = self._find_area(context)
         if area is None or context.scene is None or context.scene.session_uid != self._scene:
             self._leave()
         if not is_waiting(self):
@@ -136,20 +136,20 @@ class PickTool:
         if event.type == "BACK_SPACE" and event.value == "PRESS" and self._points:
             self._points.pop()
             if self.endless:
-                self.taken_back(context)
+                self.take_back_click(context)
             self._ask(context)
             return {"RUNNING_MODAL"}
-        window = window_region(area, event)
+        window = find_window_region(area, event)
         if event.type != "LEFTMOUSE" or event.value != "PRESS" or window is None:
             return {"PASS_THROUGH"}
         place = (event.mouse_x - window.x, event.mouse_y - window.y)
-        point = self._target3d.hit(window, window.data, place)
+        point = self._target3d.find_hit(window, window.data, place)
         if point is None:
             self.report({"WARNING"}, "Nothing under the mouse. Click on the tree or the ground")
             return {"RUNNING_MODAL"}
         self._points.append(point)
         if self.endless:
-            self.clicked(context, point, event)
+            self.handle_click(context, point, event)
         if self.endless or len(self._points) < len(self.asks):
             self._ask(context)
             return {"RUNNING_MODAL"}
@@ -157,14 +157,14 @@ class PickTool:
         if not self.poll(context):
             self.report({"WARNING"}, "The clicked object was removed. Nothing was changed")
             return {"CANCELLED"}
-        return self.picked(context, np.array(self._points, np.float64))
+        return self.handle_points(context, np.array(self._points, np.float64))
 
     def cancel(self: Any, context: bpy.types.Context) -> None:
         """Called by Blender when the file or the window is closed."""
         self._leave()
 
-    def _area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
-        """The viewport that it was started in; None if it was closed, hidden or changed to another editor."""
+    def _find_area(self: Any, context: bpy.types.Context) -> bpy.types.Area | None:
+        """Find the viewport that it was started in; None if it was closed, hidden or changed to another editor."""
         found = (area for area in context.screen.areas if area.as_pointer() == self._area_pointer)
         return next((area for area in found if area.type == "VIEW_3D"), None)
 
@@ -211,8 +211,8 @@ class PickTool:
             batch_for_shader(lines, "LINE_STRIP", {"pos": places}).draw(lines)
 
 
-def window_region(area: bpy.types.Area, event: bpy.types.Event) -> Any:
-    """The region of a viewport under the mouse that shows the tree, which its sidebar may overlap."""
+def find_window_region(area: bpy.types.Area, event: bpy.types.Event) -> Any:
+    """Find the region of a viewport under the mouse that shows the tree, which its sidebar may overlap."""
     inside = [
         region
         for region in area.regions

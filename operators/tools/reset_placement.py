@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..jobs.jobs import busy, linked
-from ..root_placement import place_root, root_frame, shown_placement, upright_of
+from ..jobs.jobs import is_busy, is_linked
+from ..root_placement import place_root, read_placement, root_frame, upright_of
 
 
 class FRUITLANGS_OT_reset_placement(bpy.types.Operator):
@@ -16,9 +16,9 @@ class FRUITLANGS_OT_reset_placement(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if is_busy(cls) or is_linked(cls, context):
             return False
-        if context.scene is None or shown_placement(context.scene) is None:
+        if context.scene is None or read_placement(context.scene) is None:
             cls.poll_message_set("The tree is where it was imported")
             return False
         return True

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ...engine.errors import FruitLangsError
 from ...engine.report.words import format_three_digits, length_unit
-from ..blender_data import owned_object, owned_objects
+from ..blender_data import find_owned_object, find_owned_objects
 from ..data.write_fruits import MEASURED, set_unit
 from ..data.write_root import METRES
-from ..jobs.jobs import busy, linked
+from ..jobs.jobs import is_busy, is_linked
 from ..root_placement import place_root, placement_of, root_frame, upright_of
 from ..settings.settings import read_config
 from .pick_tool import PickTool
@@ -25,7 +25,7 @@ from .pick_tool import PickTool
 
 def scale_text(bpy_scene: bpy.types.Scene) -> str:
     """'1 scene unit is 0.998 m'; empty if the scale is unknown."""
-    root = owned_object(bpy_scene, "root")
+    root = find_owned_object(bpy_scene, "root")
     return f"1 scene unit is {format_three_digits(root[METRES])} m" if root is not None and root.get(METRES) else ""
 
 
@@ -42,11 +42,11 @@ def rescale(bpy_scene: bpy.types.Scene, metres_per_unit: float) -> None:
     ratio = metres_per_unit / (before or 1.0)
     place_root(frame, Matrix.Scale(ratio, 4) @ upright_of(frame), placement_of(frame))
     frame.root[METRES] = metres_per_unit
-    for item in owned_objects(bpy_scene, "fruit"):
+    for item in find_owned_objects(bpy_scene, "fruit"):
         for key in (key for key in MEASURED if key in item):
             item[key] = item[key] * ratio
         set_unit(item, metres_per_unit)
-    for item in owned_objects(bpy_scene, "camera"):
+    for item in find_owned_objects(bpy_scene, "camera"):
         item.data.clip_start *= ratio
         item.data.clip_end *= ratio
     shown = bpy_scene.fruitlangs.result
@@ -73,7 +73,7 @@ class FRUITLANGS_OT_measure(PickTool, bpy.types.Operator):
 
     asks = ("click on one end of a known length", "click on its other end")
 
-    def picked(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
+    def handle_points(self, context: bpy.types.Context, points: NDArray[np.float64]) -> set[str]:
         bpy.ops.fruitlangs.set_length("INVOKE_DEFAULT", points=points.ravel().tolist())
         return {"FINISHED"}
 
@@ -93,9 +93,9 @@ class FRUITLANGS_OT_set_length(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if busy(cls) or linked(cls, context):
+        if is_busy(cls) or is_linked(cls, context):
             return False
-        if context.scene is None or owned_object(context.scene, "root") is None:
+        if context.scene is None or find_owned_object(context.scene, "root") is None:
             cls.poll_message_set("Import a scene first")
             return False
         return True

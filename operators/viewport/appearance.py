@@ -12,9 +12,9 @@ from typing import Any, Literal
 import bpy
 from bpy.app.handlers import persistent
 
-from ..blender_data import get_attribute, owned_objects
-from .gaussian_nodes import DIMMING, THRESHOLD, get_input, renew_nodes, set_input, shown_by
-from .viewport import in_window, redraw_viewports
+from ..blender_data import find_owned_objects, get_attribute
+from .gaussian_nodes import DIMMING, THRESHOLD, find_modifiers, get_input, renew_nodes, set_input
+from .viewport import has_window, redraw_viewports
 
 Style = Literal["SPLATS", "ELLIPSOIDS", "NONE"]
 
@@ -47,27 +47,27 @@ def appearance_of(bpy_scene: bpy.types.Scene) -> Appearance:
 def apply_appearance(bpy_scene: bpy.types.Scene) -> None:
     """Apply the options to this Blender scene's modifiers; those of an older version get the current nodes."""
     look = appearance_of(bpy_scene)
-    as_splats = look.style == "SPLATS" and in_window()
-    for item in owned_objects(bpy_scene, "points"):
-        for modifier in shown_by(item):
+    as_splats = look.style == "SPLATS" and has_window()
+    for item in find_owned_objects(bpy_scene, "points"):
+        for modifier in find_modifiers(item):
             renew_nodes(modifier)
             _set_inputs(item, modifier, {"In Viewport": not as_splats})
-    for item in owned_objects(bpy_scene, "gaussians"):
+    for item in find_owned_objects(bpy_scene, "gaussians"):
         values = {
             "Highlight": look.highlight and is_answered(item.data),
             "Threshold": look.threshold,
             "Dimming": look.dimming,
             "In Viewport": look.style != "NONE" and not as_splats,
         }
-        for modifier in shown_by(item):
+        for modifier in find_modifiers(item):
             renew_nodes(modifier)
             _set_inputs(item, modifier, values)
 
 
 def set_threshold(bpy_scene: bpy.types.Scene, threshold: float) -> None:
     """Set the threshold of the highlight in a file that is written without the extension's panel."""
-    for item in owned_objects(bpy_scene, "gaussians"):
-        for modifier in shown_by(item):
+    for item in find_owned_objects(bpy_scene, "gaussians"):
+        for modifier in find_modifiers(item):
             _set_inputs(item, modifier, {"Threshold": threshold})
 
 
@@ -76,7 +76,7 @@ def is_answered(mesh: bpy.types.Mesh) -> bool:
     return not mesh.is_editmode and "probability" in mesh.attributes and bool(get_attribute(mesh, "probability").any())
 
 
-def appearance_changed(settings: Any, _context: Any = None) -> None:
+def apply_changed_appearance(settings: Any, _context: Any = None) -> None:
     """Called when the options or the threshold were edited."""
     if settings.id_data.library is None:
         apply_appearance(settings.id_data)
@@ -104,10 +104,10 @@ def apply_appearances(_file: Any = None, _unused: Any = None) -> None:
 def show_ellipsoids(_file: Any = None, _unused: Any = None) -> None:
     """Before saving, and when the extension is disabled: without it only ellipsoids can be shown."""
     for bpy_scene in bpy.data.scenes:
-        if appearance_of(bpy_scene).style != "SPLATS" or not in_window():
+        if appearance_of(bpy_scene).style != "SPLATS" or not has_window():
             continue
-        for item in [*owned_objects(bpy_scene, "gaussians"), *owned_objects(bpy_scene, "points")]:
-            for modifier in shown_by(item):
+        for item in [*find_owned_objects(bpy_scene, "gaussians"), *find_owned_objects(bpy_scene, "points")]:
+            for modifier in find_modifiers(item):
                 _set_inputs(item, modifier, {"In Viewport": True})
 
 
@@ -125,7 +125,7 @@ def register_handlers() -> None:
     """Let the options decide what viewports show, except in files on disk."""
     for name, function in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(function)
-    if in_window():  # the .blend must not change while an extension is registered
+    if has_window():  # the .blend must not change while an extension is registered
         bpy.app.timers.register(apply_appearances, first_interval=0.0)
 
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender_data import linear_from_srgb, owned_objects
+from ..blender_data import find_owned_objects, linear_from_srgb
 from .gaussian_nodes import PROBABILITY_RAMP
 from .viewport import redraw_viewports
 
@@ -64,9 +64,9 @@ def colour_fruit(item: bpy.types.Object) -> None:
     item.color = (*(float(value) for value in linear_from_srgb(rgb)), 1.0)
 
 
-def fruit_colours_chosen(look: Any, _context: Any = None) -> None:
+def apply_chosen_colours(look: Any, _context: Any = None) -> None:
     """Called when the colours were chosen in the panel."""
     if look.id_data.library is None:
-        for item in owned_objects(look.id_data, "fruit"):
+        for item in find_owned_objects(look.id_data, "fruit"):
             colour_fruit(item)
         redraw_viewports()

@@ -63,14 +63,14 @@ class Piece:
         """The output socket of a named attribute."""
         return self.node("GeometryNodeInputNamedAttribute", column, row, {"Name": name}, data_type=data_type).outputs[0]
 
-    def at_least(self, value: Any, bound: Any, column: int, row: int) -> Any:
-        """value ≥ bound, numbers."""
+    def add_at_least(self, value: Any, bound: Any, column: int, row: int) -> Any:
+        """Add value ≥ bound, numbers."""
         node = self.node("FunctionNodeCompare", column, row, {0: value, 1: bound}, operation="GREATER_EQUAL")
         return node.outputs[0]
 
 
-def _once(name: str, role: str, blocks: Any, make: Callable[[], Any]) -> Any:
-    """Our data block with that role and version, created if this file has none."""
+def _ensure_block(name: str, role: str, blocks: Any, make: Callable[[], Any]) -> Any:
+    """Return our data block with that role and version, created if this file has none."""
     mark = f"{role} {VERSION}"
     for block in blocks:
         if block.get(OWNER) == mark and block.library is None:
@@ -83,16 +83,16 @@ def _once(name: str, role: str, blocks: Any, make: Callable[[], Any]) -> Any:
 
 def gaussian_node_group() -> bpy.types.GeometryNodeTree:
     """Points with our attributes → ellipsoids (up to `ELLIPSOID_LIMIT`) or points, coloured by probability."""
-    return _once("FruitLangs Gaussians", GAUSSIAN_NODES, bpy.data.node_groups, _make_gaussian_group)
+    return _ensure_block("FruitLangs Gaussians", GAUSSIAN_NODES, bpy.data.node_groups, _make_gaussian_group)
 
 
 def point_node_group() -> bpy.types.GeometryNodeTree:
     """Points with `radiance:base` → small points in that colour."""
-    return _once("FruitLangs Points", POINT_NODES, bpy.data.node_groups, _make_point_group)
+    return _ensure_block("FruitLangs Points", POINT_NODES, bpy.data.node_groups, _make_point_group)
 
 
-def shown_by(item: bpy.types.Object) -> list[Any]:
-    """The modifiers with our nodes, of any version, that show Gaussians or sparse points."""
+def find_modifiers(item: bpy.types.Object) -> list[Any]:
+    """Find the modifiers with our nodes, of any version, that show Gaussians or sparse points."""
     found = [modifier for modifier in item.modifiers if modifier.type == "NODES" and modifier.node_group is not None]
     return [one for one in found if str(one.node_group.get(OWNER, "")).startswith((GAUSSIAN_NODES, POINT_NODES))]
 
@@ -100,17 +100,17 @@ def shown_by(item: bpy.types.Object) -> list[Any]:
 def probability_material(attribute_type: str) -> bpy.types.Material:
     """Probability as emission; `attribute_type`: INSTANCER for instances, GEOMETRY for points."""
     name = f"Gaussian probability ({attribute_type.lower()})"
-    return _once(name, name, bpy.data.materials, lambda: _make_probability_material(attribute_type))
+    return _ensure_block(name, name, bpy.data.materials, lambda: _make_probability_material(attribute_type))
 
 
 def color_material() -> bpy.types.Material:
     """`radiance:base` of points as emission."""
-    return _once("Sparse point colour", "point colour", bpy.data.materials, _make_color_material)
+    return _ensure_block("Sparse point colour", "point colour", bpy.data.materials, _make_color_material)
 
 
 def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set an input of a Geometry Nodes modifier by its name."""
-    identifier = _identifier(modifier, name)
+    identifier = _find_identifier(modifier, name)
     if hasattr(modifier, "properties"):  # Blender 5.2
         getattr(modifier.properties.inputs, identifier).value = value
     else:
@@ -119,7 +119,7 @@ def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
 
 def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     """An input of a Geometry Nodes modifier by its name: a number, or a tuple of them."""
-    identifier = _identifier(modifier, name)
+    identifier = _find_identifier(modifier, name)
     if hasattr(modifier, "properties"):  # Blender 5.2
         value = getattr(modifier.properties.inputs, identifier).value
     else:
@@ -127,7 +127,7 @@ def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     return tuple(value) if hasattr(value, "__len__") else value
 
 
-def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
+def _find_identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
     for socket in modifier.node_group.interface.items_tree:
         if socket.name == name and socket.in_out == "INPUT":
             return str(socket.identifier)
@@ -135,7 +135,7 @@ def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
 
 
 def renew_nodes(modifier: bpy.types.NodesModifier) -> None:
-    """Update the nodes of one of the `shown_by` modifiers if they are of an older version; inputs stay."""
+    """Update the nodes of one of the `find_modifiers` modifiers if they are of an older version; inputs stay."""
     old = modifier.node_group
     group = point_node_group() if str(old[OWNER]).startswith(POINT_NODES) else gaussian_node_group()
     if old == group:
@@ -147,14 +147,14 @@ def renew_nodes(modifier: bpy.types.NodesModifier) -> None:
         set_input(modifier, name, value)
 
 
-def _input(group: Any, name: str, kind: str, default: Any, low: Any, high: Any, description: str) -> None:
+def _add_input(group: Any, name: str, kind: str, default: Any, low: Any, high: Any, description: str) -> None:
     socket = group.interface.new_socket(name, in_out="INPUT", socket_type=kind, description=description)
     socket.default_value = default
     if low is not None:
         socket.min_value, socket.max_value = low, high
 
 
-def _new_group() -> Any:
+def _make_group() -> Any:
     group = bpy.data.node_groups.new("FruitLangs", "GeometryNodeTree")
     group.is_modifier = True
     group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
@@ -163,14 +163,14 @@ def _new_group() -> Any:
 
 
 def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
-    group = _new_group()
+    group = _make_group()
     number, whole = "NodeSocketFloat", "NodeSocketInt"
-    _input(group, "Size", number, 1.5, 0.0, 5.0, "Half axes of an ellipsoid, in standard deviations")
-    _input(group, "Lowest Probability", number, 0.0, 0.0, 1.0, "Hide Gaussians less likely than this")
-    _input(group, "Lowest Opacity", number, 0.1, 0.0, 1.0, "Hide Gaussians more transparent than this")
-    _input(group, "Reach", number, 1e9, 0.0, 1e9, "Hide Gaussians farther than this from the centre, as of the sky")
-    _input(group, "Centre", "NodeSocketVector", (0.0, 0.0, 0.0), -1e9, 1e9, "What the cameras look at")
-    _input(
+    _add_input(group, "Size", number, 1.5, 0.0, 5.0, "Half axes of an ellipsoid, in standard deviations")
+    _add_input(group, "Lowest Probability", number, 0.0, 0.0, 1.0, "Hide Gaussians less likely than this")
+    _add_input(group, "Lowest Opacity", number, 0.1, 0.0, 1.0, "Hide Gaussians more transparent than this")
+    _add_input(group, "Reach", number, 1e9, 0.0, 1e9, "Hide Gaussians farther than this from the centre, as of the sky")
+    _add_input(group, "Centre", "NodeSocketVector", (0.0, 0.0, 0.0), -1e9, 1e9, "What the cameras look at")
+    _add_input(
         group,
         "Highlight",
         "NodeSocketBool",
@@ -179,21 +179,23 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
         None,
         "Highlight Gaussians that match the prompt, from grey at the threshold to yellow",
     )
-    _input(group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Least probability at which a Gaussian matches the prompt")
-    _input(group, "Dimming", number, DIMMING, 0.0, 1.0, "How much to darken Gaussians below the threshold")
-    _viewport_input(group)
-    _input(
+    _add_input(
+        group, "Threshold", number, THRESHOLD, 0.0, 1.0, "Least probability at which a Gaussian matches the prompt"
+    )
+    _add_input(group, "Dimming", number, DIMMING, 0.0, 1.0, "How much to darken Gaussians below the threshold")
+    _add_viewport_input(group)
+    _add_input(
         group, "Ellipsoids up to", whole, ELLIPSOID_LIMIT, 0, 10_000_000, "Draw points when there are more than this"
     )
 
     piece = Piece(group)
     given = piece.node("NodeGroupInput", 0, 0).outputs
     scale = piece.attribute("scale", "FLOAT_VECTOR", 0, 2)
-    likely = piece.at_least(piece.attribute("probability", "FLOAT", 0, 3), given["Lowest Probability"], 1, 2)
-    solid = piece.at_least(piece.attribute("opacity", "FLOAT", 0, 4), given["Lowest Opacity"], 1, 3)
+    likely = piece.add_at_least(piece.attribute("probability", "FLOAT", 0, 3), given["Lowest Probability"], 1, 2)
+    solid = piece.add_at_least(piece.attribute("opacity", "FLOAT", 0, 4), given["Lowest Opacity"], 1, 3)
     position = piece.node("GeometryNodeInputPosition", 0, 5).outputs[0]
     away = piece.node("ShaderNodeVectorMath", 1, 4, {0: position, 1: given["Centre"]}, operation="DISTANCE").outputs[1]
-    near = piece.at_least(given["Reach"], away, 2, 4)
+    near = piece.add_at_least(given["Reach"], away, 2, 4)
     both = piece.node("FunctionNodeBooleanMath", 2, 2, {0: likely, 1: solid}, operation="AND").outputs[0]
     shown = piece.node("FunctionNodeBooleanMath", 3, 2, {0: both, 1: near}, operation="AND").outputs[0]
     axes = piece.node("ShaderNodeVectorMath", 2, 3, {0: scale, "Scale": given["Size"]}, operation="SCALE").outputs[0]
@@ -201,9 +203,9 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     points = piece.node(
         "GeometryNodeMeshToPoints", 4, 1, {"Mesh": given["Geometry"], "Selection": shown, "Radius": radius}
     ).outputs[0]
-    points = _highlighted(piece, points, given)
+    points = _highlight(piece, points, given)
 
-    ellipsoids = _ellipsoids(piece, points, axes)
+    ellipsoids = _add_ellipsoids(piece, points, axes)
     dots = piece.node(
         "GeometryNodeSetMaterial", 7, 0, {"Geometry": points, "Material": probability_material("GEOMETRY")}
     ).outputs[0]
@@ -214,18 +216,18 @@ def _make_gaussian_group() -> bpy.types.GeometryNodeTree:
     chosen = piece.node(
         "GeometryNodeSwitch", 8, 0, {"Switch": many, "False": ellipsoids, "True": dots}, input_type="GEOMETRY"
     ).outputs[0]
-    piece.node("NodeGroupOutput", 11, 0, {0: _where_shown(piece, chosen, given, 8)})
+    piece.node("NodeGroupOutput", 11, 0, {0: _switch_where_shown(piece, chosen, given, 8)})
     return group
 
 
-def _viewport_input(group: Any) -> None:
-    _input(
+def _add_viewport_input(group: Any) -> None:
+    _add_input(
         group, "In Viewport", "NodeSocketBool", True, None, None, "Show Gaussians in viewports as well as in renders"
     )
 
 
-def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
-    """The geometry, or none in viewports where "In Viewport" is off.
+def _switch_where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
+    """Return the geometry, or none in viewports where "In Viewport" is off.
 
     The modifier's own display setting is not used: the bare mesh would then appear as black dots.
     """
@@ -238,13 +240,14 @@ def _where_shown(piece: Piece, geometry: Any, given: Any, column: int) -> Any:
     ).outputs[0]
 
 
-def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
-    """Points with the attributes `ramp` (position on `PROBABILITY_RAMP`, 0 for none) and `brightness` of the material.
+def _highlight(piece: Piece, points: Any, given: Any) -> Any:
+    """Return points with the attributes `ramp` (position on `PROBABILITY_RAMP`, 0 for none) and `brightness` of the
+    material.
 
     Computes the same as the highlight in `splat_shader`.
     """
     probability = piece.attribute("probability", "FLOAT", 3, 8)
-    fits = piece.at_least(probability, given["Threshold"], 4, 8)
+    fits = piece.add_at_least(probability, given["Threshold"], 4, 8)
     lit = piece.node("FunctionNodeBooleanMath", 5, 8, {0: fits, 1: given["Highlight"]}, operation="AND").outputs[0]
     place = piece.node(
         "ShaderNodeMapRange", 5, 9, {"Value": probability, 1: given["Threshold"], 2: 1.0, 3: RAMP_START, 4: 1.0}
@@ -265,8 +268,8 @@ def _highlighted(piece: Piece, points: Any, given: Any) -> Any:
     return points
 
 
-def _ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
-    """A small smooth sphere instanced on every point, rotated and scaled."""
+def _add_ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
+    """Add a small smooth sphere instanced on every point, rotated and scaled."""
     ball = piece.node("GeometryNodeMeshIcoSphere", 4, 3, {"Radius": 1.0, "Subdivisions": 2}).outputs[0]
     smooth = piece.node("GeometryNodeSetShadeSmooth", 5, 3, {"Geometry": ball}).outputs[0]
     lit = piece.node(
@@ -279,19 +282,19 @@ def _ellipsoids(piece: Piece, points: Any, axes: Any) -> Any:
 
 
 def _make_point_group() -> bpy.types.GeometryNodeTree:
-    group = _new_group()
-    _input(group, "Radius", "NodeSocketFloat", 0.01, 0.0, 1e6, "Radius of a point, in units of the scene")
-    _viewport_input(group)
+    group = _make_group()
+    _add_input(group, "Radius", "NodeSocketFloat", 0.01, 0.0, 1e6, "Radius of a point, in units of the scene")
+    _add_viewport_input(group)
     piece = Piece(group)
     given = piece.node("NodeGroupInput", 0, 0).outputs
     points = piece.node("GeometryNodeMeshToPoints", 1, 0, {"Mesh": given["Geometry"], "Radius": given["Radius"]})
     shown = piece.node("GeometryNodeSetMaterial", 2, 0, {"Geometry": points.outputs[0], "Material": color_material()})
-    piece.node("NodeGroupOutput", 6, 0, {0: _where_shown(piece, shown.outputs[0], given, 3)})
+    piece.node("NodeGroupOutput", 6, 0, {0: _switch_where_shown(piece, shown.outputs[0], given, 3)})
     return group
 
 
-def _new_light_material() -> tuple[bpy.types.Material, Piece, Any]:
-    """A material of emission only: the photos already contain the light."""
+def _make_light_material() -> tuple[bpy.types.Material, Piece, Any]:
+    """Make a material of emission only: the photos already contain the light."""
     material = bpy.data.materials.new("FruitLangs")
     material.use_nodes = True
     material.node_tree.nodes.clear()
@@ -302,14 +305,14 @@ def _new_light_material() -> tuple[bpy.types.Material, Piece, Any]:
 
 
 def _make_color_material() -> bpy.types.Material:
-    material, piece, light = _new_light_material()
+    material, piece, light = _make_light_material()
     own = piece.node("ShaderNodeAttribute", 2, 0, attribute_name="radiance:base", attribute_type="GEOMETRY")
     piece.tree.links.new(own.outputs["Color"], light.inputs["Color"])
     return material
 
 
 def _make_probability_material(attribute_type: str) -> bpy.types.Material:
-    material, piece, light = _new_light_material()
+    material, piece, light = _make_light_material()
     likely = piece.node("ShaderNodeAttribute", 0, 0, attribute_name="ramp", attribute_type=attribute_type)
     bright = piece.node("ShaderNodeAttribute", 0, 2, attribute_name="brightness", attribute_type=attribute_type)
     own = piece.node("ShaderNodeAttribute", 0, 1, attribute_name="radiance:base", attribute_type=attribute_type)

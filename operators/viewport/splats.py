@@ -51,7 +51,7 @@ def splats_of_mesh(mesh: bpy.types.Mesh) -> Splats | None:
     probability = get_attribute(mesh, "probability")
     return Splats(
         means=get_attribute(mesh, "position"),
-        covariances=packed_covariances(get_attribute(mesh, "scale"), get_attribute(mesh, "quaternion")),
+        covariances=pack_covariances(get_attribute(mesh, "scale"), get_attribute(mesh, "quaternion")),
         colors=get_attribute(mesh, "radiance:base")[:, :3],
         opacities=get_attribute(mesh, "opacity"),
         probability=probability if probability.any() else None,
@@ -78,7 +78,7 @@ def splats_in_training(means: Any, scales: Any, quats: Any, srgb: Any, opacities
     """The splats of the current state of training; copies, because training continues to change its own."""
     return Splats(
         means=np.array(means, np.float32),
-        covariances=packed_covariances(np.asarray(scales, np.float32), np.asarray(quats, np.float32)),
+        covariances=pack_covariances(np.asarray(scales, np.float32), np.asarray(quats, np.float32)),
         colors=linear_from_srgb(srgb).astype(np.float32),
         opacities=np.array(opacities, np.float32),
         probability=None,
@@ -86,8 +86,8 @@ def splats_in_training(means: Any, scales: Any, quats: Any, srgb: Any, opacities
     )
 
 
-def packed_covariances(scales: FloatArray, quats: FloatArray) -> FloatArray:
-    """(N, 6) upper triangles xx, xy, xz, yy, yz, zz of R diag(σ²) Rᵀ.
+def pack_covariances(scales: FloatArray, quats: FloatArray) -> FloatArray:
+    """Pack the upper triangles (N, 6) xx, xy, xz, yy, yz, zz of R diag(σ²) Rᵀ.
 
     scales: (N, 3) standard deviations σ; quats: (N, 4) rotations w, x, y, z, not necessarily unit.
     """

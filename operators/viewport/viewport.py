@@ -8,9 +8,9 @@ from typing import Any, Literal
 import bpy
 from mathutils import Matrix, Vector
 
-from ..blender_data import areas_of, owned_objects
+from ..blender_data import areas_of, find_owned_objects
 from ..root_placement import root_frame, upright_of
-from ..scene_frame import in_world
+from ..scene_frame import find_world_matrix
 
 
 class Drawing:
@@ -24,7 +24,7 @@ class Drawing:
         self._handle: Any = None
 
     def start(self) -> None:
-        if in_window() and self._handle is None:
+        if has_window() and self._handle is None:
             self._handle = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", self._stage)
             redraw_viewports()
 
@@ -35,14 +35,14 @@ class Drawing:
             redraw_viewports()
 
 
-def in_window() -> bool:
+def has_window() -> bool:
     """Whether there are viewports: False in background mode."""
     return not bpy.app.background
 
 
-def shown_screens(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> list[bpy.types.Screen]:
-    """The screen that shows this Blender scene; empty in background mode, and while another scene is shown."""
-    looked_at = in_window() and context.screen is not None and context.scene == bpy_scene
+def find_screens(context: bpy.types.Context, bpy_scene: bpy.types.Scene) -> list[bpy.types.Screen]:
+    """Return the screen that shows this Blender scene; empty in background mode, and while another scene is shown."""
+    looked_at = has_window() and context.screen is not None and context.scene == bpy_scene
     return [context.screen] if looked_at else []
 
 
@@ -51,7 +51,7 @@ def show_colors(screens: Iterable[bpy.types.Screen], *, splats: bool) -> None:
 
     Solid shows fruit in their object colour. The dashed lines from cameras and fruit to the root are switched off.
     """
-    for space in _viewports(screens):
+    for space in _iterate_viewports(screens):
         if not splats and space.shading.type in {"SOLID", "WIREFRAME"}:
             space.shading.type = "MATERIAL"
         if space.shading.color_type == "MATERIAL":
@@ -66,7 +66,7 @@ def look_at_scene(screens: Iterable[bpy.types.Screen], bpy_scene: bpy.types.Scen
         return
     upright = upright_of(frame)
     to_upright = upright @ frame.from_world()
-    places = [to_upright @ in_world(item).translation for item in owned_objects(bpy_scene, "camera")]
+    places = [to_upright @ find_world_matrix(item).translation for item in find_owned_objects(bpy_scene, "camera")]
     look_from_around(screens, places, frame.to_world @ upright.inverted())
 
 
@@ -79,7 +79,7 @@ def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vecto
         return
     middle = sum(places, Vector()) / len(places)
     distance = max(place.xy.length for place in places) * abs(placed.to_3x3().determinant()) ** (1.0 / 3.0)
-    for space in _viewports(screens):
+    for space in _iterate_viewports(screens):
         view = space.region_3d
         if view.view_perspective == "CAMERA":
             view.view_perspective = "PERSP"
@@ -90,7 +90,7 @@ def look_from_around(screens: Iterable[bpy.types.Screen], places: Sequence[Vecto
 
 def look_at_point(screens: Iterable[bpy.types.Screen], place: Vector, distance: float) -> None:
     """Move viewports to a point in the world, no farther away than `distance`; they keep their direction."""
-    for space in _viewports(screens):
+    for space in _iterate_viewports(screens):
         view = space.region_3d
         if view.view_perspective == "CAMERA":
             view.view_perspective = "PERSP"
@@ -111,7 +111,7 @@ def redraw_viewports() -> None:
         area.tag_redraw()
 
 
-def _viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:
+def _iterate_viewports(screens: Iterable[bpy.types.Screen]) -> Iterator[Any]:
     for screen in screens:
         for area in screen.areas:
             if area.type == "VIEW_3D":

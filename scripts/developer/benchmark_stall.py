@@ -55,7 +55,7 @@ class Gaps:
         """The timer."""
         from fruitlangs.operators.jobs import jobs
 
-        now, job = time.perf_counter(), jobs.running()
+        now, job = time.perf_counter(), jobs.find_running_job()
         if self.name:
             # After the thread has ended, Blender itself works: creating objects, compiling shaders, drawing the window.
             shown = self.name in JOBS and (job is None or job.ended)
@@ -79,10 +79,10 @@ def visit(arguments: argparse.Namespace, gaps: Gaps) -> Generator[float, None, N
     def work(name: str, title: str) -> Iterator[float]:
         with bpy.context.temp_override(window=window, area=area, region=region):
             getattr(bpy.ops.fruitlangs, name)("INVOKE_DEFAULT")
-        while jobs.running() is None:
+        while jobs.find_running_job() is None:
             yield TICK
         gaps.watch(title)
-        while jobs.running() is not None:
+        while jobs.find_running_job() is not None:
             yield 0.05
         gaps.watch("")
         yield 3.0

@@ -105,11 +105,11 @@ def redraw() -> None:
 
 def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     """Figures for one number of Gaussians; yields the seconds that the window needs."""
-    from fruitlangs.operators.blender_data import get_attribute, new_object, owned_collection, set_attribute
-    from fruitlangs.operators.data.write_gaussians import gaussian_mesh
+    from fruitlangs.operators.blender_data import ensure_owned_collection, get_attribute, make_object, set_attribute
+    from fruitlangs.operators.data.write_gaussians import make_gaussian_mesh
     from fruitlangs.operators.drawing import splat_drawing
-    from fruitlangs.operators.drawing.splat_order import back_to_front
-    from fruitlangs.operators.drawing.splat_textures import SplatTextures, order_texture
+    from fruitlangs.operators.drawing.splat_order import sort_back_to_front
+    from fruitlangs.operators.drawing.splat_textures import SplatTextures, make_order_texture
     from fruitlangs.operators.viewport.appearance import apply_appearance
     from fruitlangs.operators.viewport.gaussian_nodes import gaussian_node_group
     from fruitlangs.operators.viewport.splats import splats_of_mesh
@@ -126,9 +126,9 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     gaussians = tree(count)
 
     start = time.perf_counter()
-    mesh = gaussian_mesh(gaussians, answers[0], ())
+    mesh = make_gaussian_mesh(gaussians, answers[0], ())
     write = time.perf_counter() - start
-    item = new_object("Gaussians", mesh, "gaussians", owned_collection(bpy_scene, "scene", "FruitLangs"), None)
+    item = make_object("Gaussians", mesh, "gaussians", ensure_owned_collection(bpy_scene, "scene", "FruitLangs"), None)
     item.modifiers.new("Gaussians", "NODES").node_group = gaussian_node_group()
     settings = bpy_scene.fruitlangs
 
@@ -155,8 +155,8 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
 
     empty = redraws("NONE")
     splats = redraws("SPLATS")
-    if splat_drawing.problem():
-        raise RuntimeError(splat_drawing.problem())
+    if splat_drawing.explain_problem():
+        raise RuntimeError(splat_drawing.explain_problem())
     turning = seconds(turn, repeats)
     highlight = seconds(answer, repeats)
     ellipsoids = redraws("ELLIPSOIDS")
@@ -164,10 +164,10 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
 
     values = splats_of_mesh(mesh)
     assert values is not None
-    order = back_to_front(values.means, (1.0, 2.0, 3.0))
+    order = sort_back_to_front(values.means, (1.0, 2.0, 3.0))
     read = seconds(read_mesh, repeats)
-    sorting = seconds(lambda: back_to_front(values.means, random.normal(size=3).tolist()), repeats)
-    upload = seconds(lambda: order_texture(order), repeats)
+    sorting = seconds(lambda: sort_back_to_front(values.means, random.normal(size=3).tolist()), repeats)
+    upload = seconds(lambda: make_order_texture(order), repeats)
 
     before = {name: get_attribute(mesh, name) for name in ATTRIBUTES}
     file = folder / f"{count}.blend"

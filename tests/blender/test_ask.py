@@ -13,7 +13,7 @@ import torch
 from blender_examples import written
 
 from fruitlangs.engine.language.features.features import load_features, save_features
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects, set_attribute
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute, set_attribute
 from fruitlangs.operators.data.write_gaussians import ASKED
 from fruitlangs.operators.steps import ask
 
@@ -27,7 +27,7 @@ def opened(extension, counted_balls, tmp_path):
 
 
 def probability() -> np.ndarray:
-    return get_attribute(owned_object(bpy.context.scene, "gaussians").data, "probability")
+    return get_attribute(find_owned_object(bpy.context.scene, "gaussians").data, "probability")
 
 
 def attend() -> None:
@@ -40,9 +40,11 @@ def attend() -> None:
 
 def test_an_opened_result_shows_all_that_was_counted(opened, counted_balls):
     settings = bpy.context.scene.fruitlangs
-    assert len(owned_objects(bpy.context.scene, "fruit")) == counted_balls.fruit_count.count == settings.result.count
+    assert (
+        len(find_owned_objects(bpy.context.scene, "fruit")) == counted_balls.fruit_count.count == settings.result.count
+    )
     assert (settings.prompt, settings.config.count.threshold) == ("apple", pytest.approx(0.3))
-    assert len(owned_objects(bpy.context.scene, "camera")) == len(counted_balls.scene.cameras)
+    assert len(find_owned_objects(bpy.context.scene, "camera")) == len(counted_balls.scene.cameras)
     np.testing.assert_allclose(probability(), counted_balls.probability.numpy(), atol=1e-6)
     fit = int((counted_balls.probability >= 0.3).sum())
     assert settings.answer.text.startswith(f"{fit:,} of {len(counted_balls.gaussians):,} Gaussians match")
@@ -70,8 +72,8 @@ def test_an_answered_prompt_is_not_computed_again_and_an_old_problem_is_cleared(
 
 def test_the_button_asks_again_without_stopping_the_window(opened, monkeypatch):
     before = probability()
-    monkeypatch.setattr(ask, "in_window", lambda: True)
-    item = owned_object(bpy.context.scene, "gaussians")
+    monkeypatch.setattr(ask, "has_window", lambda: True)
+    item = find_owned_object(bpy.context.scene, "gaussians")
     set_attribute(item.data, "probability", "FLOAT", np.zeros(len(before), np.float32))
     assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
     assert not probability().any()
@@ -101,7 +103,7 @@ def test_features_that_vanished_are_a_report_that_says_what_to_do(opened):
 
 
 def test_features_of_more_gaussians_are_refused(opened):
-    item = owned_object(bpy.context.scene, "gaussians")
+    item = find_owned_object(bpy.context.scene, "gaussians")
     item.data.vertices.add(1)
     with pytest.raises(RuntimeError, match="features of other Gaussians than those shown"):
         bpy.ops.fruitlangs.ask()
@@ -135,7 +137,7 @@ def test_the_timer_answers_the_last_of_several_edits(opened):
         settings.prompt = words
         ask.ask_soon(bpy.context.scene)
     attend()
-    item = owned_object(bpy.context.scene, "gaussians")
+    item = find_owned_object(bpy.context.scene, "gaussians")
     assert item.data[ASKED] == "grass | "
     by_timer = probability()
     bpy.ops.fruitlangs.ask()
@@ -149,7 +151,7 @@ def test_an_answer_to_words_that_were_edited_is_computed_again(opened):
     assert ask._attend() is not None
     settings.prompt = "grass"
     attend()
-    assert owned_object(bpy.context.scene, "gaussians").data[ASKED] == "grass | "
+    assert find_owned_object(bpy.context.scene, "gaussians").data[ASKED] == "grass | "
 
 
 def test_an_answer_for_a_scene_deleted_meanwhile_is_dropped(opened):
@@ -158,7 +160,7 @@ def test_an_answer_for_a_scene_deleted_meanwhile_is_dropped(opened):
     assert ask._attend() is not None
     bpy.ops.wm.read_factory_settings(use_empty=True)
     attend()
-    assert owned_object(bpy.context.scene, "gaussians") is None
+    assert find_owned_object(bpy.context.scene, "gaussians") is None
 
 
 def test_the_threshold_changes_how_many_fit(opened):
@@ -168,10 +170,10 @@ def test_the_threshold_changes_how_many_fit(opened):
 
 
 def test_suggestions_complete_the_last_word_and_keep_those_before(extension):
-    offered = ask.suggestions(None, None, "apple, red p")
+    offered = ask.suggest_prompts(None, None, "apple, red p")
     assert offered[0] == "apple, red pear"
     assert all(words.startswith("apple, ") for words in offered)
-    assert "fruit" in ask.suggestions(None, None, "")
+    assert "fruit" in ask.suggest_prompts(None, None, "")
 
 
 def test_reconstruct_shows_gaussians_that_a_count_then_finds(extension, balls, counted_balls, tmp_path):

@@ -22,10 +22,10 @@ from fruitlangs.engine.block.trees import read_counts
 from fruitlangs.engine.counting.accounts.review import Decision
 from fruitlangs.engine.pipeline import count_scene
 from fruitlangs.fruitlangs_addon.panels.block_panel import cells, icon_of
-from fruitlangs.operators.blender_data import get_attribute, owned_objects
+from fruitlangs.operators.blender_data import find_owned_objects, get_attribute
 from fruitlangs.operators.block.block import OVERVIEW, TREE_OF
 from fruitlangs.operators.block.overview import ShownResult, read_overview
-from fruitlangs.operators.data.fruit_objects import REJECTED, now, read_log, standing, write_log
+from fruitlangs.operators.data.fruit_objects import REJECTED, format_now, list_counted_fruit, read_log, write_log
 from fruitlangs.operators.data.write import SET_ID
 
 
@@ -85,7 +85,7 @@ def test_a_block_is_one_scene_with_a_collection_for_each_tree(opened: Path) -> N
     names = [each.name for each in scene.collection.children_recursive]
     assert {"Orchard", "one", "two", "row", "row-1", "row-2", "lost"} <= set(names)
     assert [cells(tree) for tree in scene.fruitlangs.block.trees][-1] == ["no photos"]
-    for item in owned_objects(scene, "block-fruit"):
+    for item in find_owned_objects(scene, "block-fruit"):
         assert len(item.data.vertices) == 42 * max(trees_of(scene)[item["fruitlangs_tree"]].counted, 0)
     assert (
         sum(tree.counted for tree in trees_of(scene).values() if tree.folder == "row") == trees_of(scene)["one"].counted
@@ -94,39 +94,39 @@ def test_a_block_is_one_scene_with_a_collection_for_each_tree(opened: Path) -> N
 
 def test_trees_that_the_user_placed_or_hid_stay_so_when_the_tables_are_updated(opened: Path) -> None:
     scene = bpy.context.scene
-    roots = {item["fruitlangs_result"]: item for item in owned_objects(scene, "block-root")}
+    roots = {item["fruitlangs_result"]: item for item in find_owned_objects(scene, "block-root")}
     unmoved = np.array(roots["two"].matrix_basis)
     roots["one"].location.y += 9.0
     roots["one"].scale = [3.0 * side for side in roots["one"].scale]
     placed = np.array(roots["one"].matrix_basis)
     bpy.data.objects["two fruit"].hide_render = True
     assert bpy.ops.fruitlangs.update_block() == {"FINISHED"}
-    roots = {item["fruitlangs_result"]: item for item in owned_objects(scene, "block-root")}
+    roots = {item["fruitlangs_result"]: item for item in find_owned_objects(scene, "block-root")}
     np.testing.assert_allclose(np.array(roots["one"].matrix_basis), placed, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(np.array(roots["two"].matrix_basis), unmoved)
-    hidden = {item.name: item.hide_render for item in owned_objects(scene, "block-fruit")}
+    hidden = {item.name: item.hide_render for item in find_owned_objects(scene, "block-fruit")}
     assert hidden == {name: name == "two fruit" for name in hidden}
 
 
 def test_the_placement_of_another_blocks_trees_is_not_used(opened: Path) -> None:
     scene = bpy.context.scene
-    for item in owned_objects(scene, "block-root"):
+    for item in find_owned_objects(scene, "block-root"):
         item.location.y += 9.0
         item["fruitlangs_result"] = f"other {item['fruitlangs_result']}"
     bpy.ops.fruitlangs.open_block()
-    assert all(abs(item.matrix_basis.translation.y) < 5.0 for item in owned_objects(scene, "block-root"))
+    assert all(abs(item.matrix_basis.translation.y) < 5.0 for item in find_owned_objects(scene, "block-root"))
 
 
 def test_fruit_are_where_the_result_has_them_and_trees_do_not_overlap(opened: Path, counted_balls: Any) -> None:
     scene = bpy.context.scene
     bpy.context.view_layer.update()
-    item = next(each for each in owned_objects(scene, "block-fruit") if each["fruitlangs_tree"] == "one")
+    item = next(each for each in find_owned_objects(scene, "block-fruit") if each["fruitlangs_tree"] == "one")
     vertices = np.array([vertex.co for vertex in item.data.vertices]).reshape(-1, 42, 3)
     np.testing.assert_allclose(vertices.mean(axis=1), counted_balls.fruit_count.centers, atol=1e-4)
     sizes = np.linalg.norm(vertices - vertices.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
     np.testing.assert_allclose(2.0 * sizes, counted_balls.fruit_count.diameters, rtol=0.05)
     boxes = []
-    for each in owned_objects(scene, "block-fruit"):
+    for each in find_owned_objects(scene, "block-fruit"):
         if each.name.startswith(("one", "two")):
             world = np.array([each.matrix_world @ vertex.co for vertex in each.data.vertices])
             boxes.append((world.min(axis=0), world.max(axis=0)))
@@ -140,7 +140,7 @@ def test_the_colours_show_the_tree_or_the_probability(opened: Path) -> None:
     def colors() -> list[np.ndarray]:
         return [
             np.unique(get_attribute(item.data, "fruit color"), axis=0)
-            for item in owned_objects(scene, "block-fruit")
+            for item in find_owned_objects(scene, "block-fruit")
             if len(item.data.vertices)
         ]
 
@@ -156,9 +156,9 @@ def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_o
     before = trees_of(overview)["two"].counted
     tree = open_tree("two")
     assert tree[OVERVIEW] == overview
-    assert len(standing(tree)) == before
+    assert len(list_counted_fruit(tree)) == before
     with bpy.context.temp_override(scene=tree, view_layer=tree.view_layers[0]):
-        first = owned_objects(tree, "fruit")[0]
+        first = find_owned_objects(tree, "fruit")[0]
         tree.view_layers[0].objects.active = first
         first.select_set(True, view_layer=tree.view_layers[0])
         bpy.ops.fruitlangs.reject_fruit(reason="a leaf")
@@ -170,15 +170,15 @@ def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_o
     rows = {row["tree"]: row for row in csv.DictReader((opened / "orchard.csv").open())}
     assert (rows["two"]["count"], rows["two"]["reviewed"]) == (str(before), str(before - 1))
     assert '"trees": 40' in (opened / "orchard.json").read_text()
-    shown = [item for item in owned_objects(overview, "block-fruit") if item["fruitlangs_tree"] == "two"]
+    shown = [item for item in find_owned_objects(overview, "block-fruit") if item["fruitlangs_tree"] == "two"]
     assert len(shown[0].data.vertices) == 42 * (before - 1)
 
     bpy.data.scenes.remove(tree)
     again = open_tree("two")
-    assert [item.get("review") for item in owned_objects(again, "fruit")].count(REJECTED) == 1
+    assert [item.get("review") for item in find_owned_objects(again, "fruit")].count(REJECTED) == 1
     assert [entry.reason for entry in again.fruitlangs.review.log] == ["a leaf"]
     with bpy.context.temp_override(scene=again, view_layer=again.view_layers[0]):
-        again.view_layers[0].objects.active = next(o for o in owned_objects(again, "fruit") if o.get("review"))
+        again.view_layers[0].objects.active = next(o for o in find_owned_objects(again, "fruit") if o.get("review"))
         bpy.ops.fruitlangs.reopen_fruit()
     bpy.ops.fruitlangs.show_block()
     bpy.ops.fruitlangs.update_block()
@@ -189,7 +189,7 @@ def test_a_review_of_a_tree_goes_into_the_tables_and_is_there_when_the_tree_is_o
 def reject_one(tree: bpy.types.Scene) -> None:
     """Reject the first fruit of a tree, in its Blender scene."""
     with bpy.context.temp_override(scene=tree, view_layer=tree.view_layers[0]):
-        first = owned_objects(tree, "fruit")[0]
+        first = find_owned_objects(tree, "fruit")[0]
         tree.view_layers[0].objects.active = first
         first.select_set(True, view_layer=tree.view_layers[0])
         bpy.ops.fruitlangs.reject_fruit()
@@ -256,12 +256,12 @@ def test_a_tree_whose_import_was_cancelled_is_not_in_the_tables_and_is_imported_
     overview = bpy.context.scene
     cancelled = bpy.data.scenes.new("two")
     cancelled[TREE_OF], cancelled[OVERVIEW] = "two", overview
-    write_log(cancelled, Decision("reject", now(), ""))
+    write_log(cancelled, Decision("reject", format_now(), ""))
     reviewed = trees_of(overview)["two"].reviewed
     bpy.ops.fruitlangs.update_block()
     assert trees_of(overview)["two"].reviewed == reviewed
     tree = open_tree("two")
-    assert (len(standing(tree)), len(read_log(tree))) == (reviewed, 1)
+    assert (len(list_counted_fruit(tree)), len(read_log(tree))) == (reviewed, 1)
     assert len(bpy.data.scenes) == 2
 
 

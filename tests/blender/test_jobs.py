@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 from fruitlangs.engine.errors import Cancelled, SceneError
-from fruitlangs.operators.blender_data import owned_objects
+from fruitlangs.operators.blender_data import find_owned_objects
 from fruitlangs.operators.jobs import jobs
 from fruitlangs.operators.steps.show_result import show_result
 
@@ -53,12 +53,12 @@ def test_cancel_stops_at_the_next_report(started):
         raise AssertionError("went on after cancel")
 
     job = started(work)
-    assert jobs.running() is job
+    assert jobs.find_running_job() is job
     job.cancel()
     asked.set()
     job.wait(5)
     assert isinstance(job.error, Cancelled)
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -80,10 +80,10 @@ def test_a_job_is_not_forgotten_before_its_thread_ends(started):
     hold = threading.Event()
     job = started(lambda progress: hold.wait(5))
     jobs.cancel_running(wait=0.01)
-    assert jobs.running() is job
+    assert jobs.find_running_job() is job
     hold.set()
     job.wait(5)
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
 
 
 class Shower(jobs.JobOperator):
@@ -98,10 +98,10 @@ class Shower(jobs.JobOperator):
     def finish(self, context, result):
         self.finished.append(result)
 
-    def failed(self, context, message):
+    def store_failure(self, context, message):
         assert not message
 
-    def ended(self, context):
+    def clear_display(self, context):
         self.has_left = True
 
 
@@ -140,11 +140,11 @@ def test_a_result_waits_for_the_end_of_a_drag(started, window, monkeypatch, drag
     window.modal_operators = [modal("FRUITLANGS_OT_count"), dragging]
     assert item.modal(window.context, TICK) == {"PASS_THROUGH"}
     assert not item.finished
-    assert jobs.running() is item._job
+    assert jobs.find_running_job() is item._job
     window.modal_operators.pop()
     assert item.modal(window.context, TICK) == {"FINISHED"}
     assert item.finished == [42]
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
 
 
 def test_a_result_waits_for_the_end_of_a_render(started, window, monkeypatch):
@@ -217,7 +217,7 @@ def test_a_mesh_of_the_user_in_edit_mode_does_not_stop_an_import(extension):
 class Counting(Shower):
     """An operator that shows a count in the Blender scene that it works for, and waits for `hold` before it has one."""
 
-    failed = jobs.JobOperator.failed
+    store_failure = jobs.JobOperator.store_failure
 
     def __init__(self, started, result):
         self.hold, self.told = threading.Event(), []
@@ -246,7 +246,7 @@ def counting(extension, started, window, monkeypatch, counted, result_of, tmp_pa
 
 
 def fruit_shown() -> int:
-    return sum(len(owned_objects(scene, "fruit")) for scene in bpy.data.scenes)
+    return sum(len(find_owned_objects(scene, "fruit")) for scene in bpy.data.scenes)
 
 
 def test_esc_stops_the_job_at_its_next_report_and_nothing_is_shown(counting, window):
@@ -256,7 +256,7 @@ def test_esc_stops_the_job_at_its_next_report_and_nothing_is_shown(counting, win
     assert counting.modal(window.context, TICK) == {"PASS_THROUGH"}
     assert counting.end(window.context) == {"CANCELLED"}
     assert counting.told == ["Count cancelled. Finished stages are kept"]
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
     assert fruit_shown() == 0
 
 
@@ -282,18 +282,18 @@ def test_another_file_opened_while_a_job_runs_gets_nothing_of_its_result(countin
 def test_a_closed_window_cancels_its_job_which_is_not_forgotten_before_its_thread_ends(counting, window):
     counting.cancel(window.context)
     assert counting.has_left
-    assert jobs.running() is counting._job
+    assert jobs.find_running_job() is counting._job
     assert not bpy.ops.fruitlangs.import_scene.poll()
     counting.hold.set()
     counting._job.wait(5)
     assert isinstance(counting._job.error, Cancelled)
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
     assert bpy.ops.fruitlangs.import_scene.poll()
 
 
 def test_a_closed_file_dialog_has_no_job_to_cancel(window):
     jobs.JobOperator().cancel(window.context)
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
 
 
 def test_disabling_the_extension_stops_the_job_and_takes_away_what_shows_it(extension, started, window, monkeypatch):
@@ -306,7 +306,7 @@ def test_disabling_the_extension_stops_the_job_and_takes_away_what_shows_it(exte
     extension.unregister()
     assert item.has_left
     assert job.ended
-    assert jobs.running() is None
+    assert jobs.find_running_job() is None
 
 
 class Asking(jobs.JobOperator):

@@ -14,7 +14,7 @@ from blender_examples import drawn
 from fruitlangs.engine.config import UnitsConfig
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute
 from fruitlangs.operators.settings.settings import is_of_another, result_folder
 from fruitlangs.operators.steps import import_scene
 from fruitlangs.operators.steps.show_result import show_reconstruction, show_result
@@ -202,14 +202,14 @@ def test_import_of_another_source_takes_the_first_one_away_and_says_so(
     assert "is kept until it is shown again" in told
     assert "scale, ground and region of" in told
     for role in ("gaussians", "fruit", "region"):
-        assert owned_objects(scene, role) == []
-    assert len(owned_objects(scene, "camera")) == 6
+        assert find_owned_objects(scene, role) == []
+    assert len(find_owned_objects(scene, "camera")) == 6
     assert (settings.result.count, settings.answer.text, len(settings.review.log)) == (-1, "", 0)
     assert settings.config.units.length == 0.0
     assert not any(settings.config.units.points)
     assert not any(settings.config.scene.up)
     assert "fruitlangs_ground" not in scene
-    assert owned_object(scene, "root")["metres_per_unit"] == 0.0
+    assert find_owned_object(scene, "root")["metres_per_unit"] == 0.0
 
 
 def test_decisions_wait_while_another_source_is_shown(engine, settings, counted, result_of, tmp_path):
@@ -218,10 +218,10 @@ def test_decisions_wait_while_another_source_is_shown(engine, settings, counted,
     show_result(bpy.context, scene, first)
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     show_result(bpy.context, scene, second)
-    assert len(owned_objects(scene, "fruit")) == 3
+    assert len(find_owned_objects(scene, "fruit")) == 3
     assert "is kept until it is shown again" in settings.result.notices
     show_result(bpy.context, scene, first)
-    assert len(owned_objects(scene, "fruit")) == 4
+    assert len(find_owned_objects(scene, "fruit")) == 4
     assert len(settings.review.log) == 1
 
 
@@ -286,8 +286,8 @@ def test_import_of_the_same_source_keeps_the_count_and_its_scale(engine, setting
     result = result_of(counted_with(metres_per_unit=0.4), tmp_path / "out")
     show_result(bpy.context, scene, from_source(result, tmp_path / "tree"))
     bpy.ops.fruitlangs.import_scene()
-    assert settings.result.count == len(owned_objects(scene, "fruit")) == 3
-    assert owned_object(scene, "root")["metres_per_unit"] == pytest.approx(0.4)
+    assert settings.result.count == len(find_owned_objects(scene, "fruit")) == 3
+    assert find_owned_object(scene, "root")["metres_per_unit"] == pytest.approx(0.4)
 
 
 @pytest.fixture
@@ -310,7 +310,7 @@ def reconstruct(engine, settings, counted):
 def test_reconstructing_the_same_gaussians_keeps_the_count_and_whose_they_are(reconstruct, settings):
     bpy.ops.fruitlangs.count()
     reconstruct()
-    ids = get_attribute(owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
+    ids = get_attribute(find_owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
     assert ids[:6].tolist() == [1, 1, 2, 2, 3, 3]
     assert settings.result.count == 3
 
@@ -320,7 +320,7 @@ def test_reconstructing_others_takes_the_count_away_and_says_so(reconstruct, set
     bpy.ops.fruitlangs.count()
     means = counted.gaussians.means + (1.0 if other == "gaussians" else 0.0)
     reconstruct(0.4 if other == "scale" else None, dataclasses.replace(counted.gaussians, means=means))
-    assert owned_objects(bpy.context.scene, "fruit") == []
+    assert find_owned_objects(bpy.context.scene, "fruit") == []
     assert settings.result.count == -1
     assert "Count again" in settings.result.notices
 
@@ -345,15 +345,15 @@ def test_sizes_are_shown_in_millimetres_where_the_scale_is_known(engine, setting
 
 
 def test_a_count_whose_fruit_may_be_taken_for_other_kinds_is_a_warning(settings, counted_with, result_of, tmp_path):
-    from fruitlangs.operators.steps.show_result import count_report
+    from fruitlangs.operators.steps.show_result import make_count_report
 
     for fruits, end in ((0, "0, the 38 fruit that were found look like other kinds"), (2, "; 38 other fruit look")):
         counted = result_of(counted_with(fruits=fruits), tmp_path)
         show_result(bpy.context, bpy.context.scene, counted)
-        assert count_report(settings.result, counted.fruit_count)[0] == {"INFO"}
+        assert make_count_report(settings.result, counted.fruit_count)[0] == {"INFO"}
         uncertain = dataclasses.replace(counted.fruit_count, other_fruit=38)
         show_result(bpy.context, bpy.context.scene, dataclasses.replace(counted, fruit_count=uncertain))
-        level, text = count_report(settings.result, uncertain)
+        level, text = make_count_report(settings.result, uncertain)
         assert level == {"WARNING"}
         assert end in text
 
@@ -439,11 +439,11 @@ def test_a_scene_deleted_meanwhile_is_named_and_nothing_is_lost(extension, count
 def test_missing_packages_are_named_with_a_command_that_keeps_blenders_numpy(extension, monkeypatch):
     from fruitlangs.operators.packages import dependencies
 
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
     monkeypatch.setitem(dependencies.REQUIRED, "no_such_module", "no-such-package")
-    missing = dependencies.missing_packages()
+    missing = dependencies.find_missing_packages()
     assert missing == ["no-such-package"]
-    command = dependencies.install_command(missing)
+    command = dependencies.make_install_command(missing)
     if bpy.app.binary_path:
         assert command.endswith('bpy.ops.fruitlangs.install_dependencies()"')
     else:

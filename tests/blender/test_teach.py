@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fruitlangs.engine.language.taught.word import read_word
-from fruitlangs.operators.blender_data import get_attribute, owned_object
+from fruitlangs.operators.blender_data import find_owned_object, get_attribute
 from fruitlangs.operators.data.fruit_objects import give_members
 from fruitlangs.operators.settings.lesson import read_lesson
 from fruitlangs.operators.steps import ask, teach
@@ -39,7 +39,7 @@ def ball(counted_balls):
 
 
 def probability() -> np.ndarray:
-    return get_attribute(owned_object(bpy.context.scene, "gaussians").data, "probability")
+    return get_attribute(find_owned_object(bpy.context.scene, "gaussians").data, "probability")
 
 
 def attend() -> None:
@@ -78,7 +78,7 @@ def test_a_saved_word_is_what_was_highlighted_and_every_prompt_knows_it(settings
     file = tmp_path / "words" / "fig.fruitword"
     assert read_word(file).name == "fig"
     assert settings.teach.saved == f"fig: saved as {file}"
-    assert "ripe fig" in ask.suggestions(settings, bpy.context, "ripe f")
+    assert "ripe fig" in ask.suggest_prompts(settings, bpy.context, "ripe f")
     settings.teach.examples.clear()
     assert bpy.ops.fruitlangs.ask() == {"FINISHED"}
     np.testing.assert_allclose(probability(), shown, atol=1e-6)
@@ -113,7 +113,7 @@ def test_a_reviewed_fruit_without_gaussians_is_no_example(settings, counted_ball
     fruit = [item for item in bpy.context.scene.objects if item.get("id")]
     for item in fruit[:2]:
         item["review"] = "confirmed"
-    owners = get_attribute(owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
+    owners = get_attribute(find_owned_object(bpy.context.scene, "gaussians").data, "fruit_id")
     give_members(bpy.context.scene, np.flatnonzero(owners == fruit[0]["id"]), -1)
     assert bpy.ops.fruitlangs.add_reviewed() == {"FINISHED"}
     assert [example.source for example in settings.teach.examples] == [f"fruit {fruit[1]['id']}"]

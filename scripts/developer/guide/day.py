@@ -198,7 +198,7 @@ def matching_places(hand: Hand) -> tuple[list[tuple[float, float]], tuple[float,
             x, y = hand.place_of(item.matrix_world @ vertex.co)
             if not (0.25 < (x - window.x) / window.width < 0.6 and 0.3 < (y - window.y) / window.height < 0.7):
                 continue
-            hit = target.hit(window, view, (x - window.x, y - window.y))
+            hit = target.find_hit(window, view, (x - window.x, y - window.y))
             if hit is not None and (Vector(hit) - vertex.co).length < FRONT:
                 found.append((x, y))
         return found
@@ -357,7 +357,7 @@ def block_of_copies(result: Path) -> Path:
 def running() -> Any:
     from fruitlangs.operators.jobs import jobs
 
-    return jobs.running()
+    return jobs.find_running_job()
 
 
 def work_done(hand: Hand) -> Steps:

@@ -48,25 +48,25 @@ def names(folder: Path) -> list[str]:
 
 
 def test_an_install_is_importable_at_once_and_after_a_restart(home, wheels):
-    assert dependencies.missing_packages() == ["grafting"]
+    assert dependencies.find_missing_packages() == ["grafting"]
     assert dependencies.install_missing(wheels) == ["grafting"]
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
     assert importlib.import_module("grafting").YEAR == 1898
     sys.path[:] = [path for path in sys.path if str(home) not in path]
     package_folder.use_packages()
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
     package_folder.forget_packages()
     assert not [path for path in sys.path if str(home) in path]
 
 
 def test_the_thread_that_installs_asks_blender_nothing(home, wheels, monkeypatch):
-    install = dependencies.installing(wheels)
+    install = dependencies.prepare_install(wheels)
     for module in (dependencies, package_folder):
         monkeypatch.setattr(module, "bpy", None)
         monkeypatch.setattr(module, "packages_folder", lambda: pytest.fail("asked"))
-    monkeypatch.setattr(dependencies, "online", lambda: pytest.fail("asked"))
+    monkeypatch.setattr(dependencies, "is_online", lambda: pytest.fail("asked"))
     assert install(dependencies.silent) == ["grafting"]
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
 
 
 def test_blenders_numpy_is_never_installed_though_a_wheel_of_another_one_is_at_hand(home, wheels):
@@ -119,8 +119,8 @@ def test_cffi_fits_the_binary_half_of_it_that_a_distribution_has_alone(carried, 
         asked.append(Path(arguments[arguments.index("--constraint") + 1]).read_text().splitlines())
         return "enough"
 
-    monkeypatch.setattr(package_install, "_carried", lambda: carried)
-    monkeypatch.setattr(package_install._Install, "_pip", pip)
+    monkeypatch.setattr(package_install, "_list_carried", lambda: carried)
+    monkeypatch.setattr(package_install._Install, "_run_pip", pip)
     for source in (wheels, None):
         with pytest.raises(package_install.InstallError, match="enough"):
             package_install.install_packages(["grafting"], home, wheels=source)
@@ -163,7 +163,7 @@ def test_a_half_finished_install_is_ignored_and_does_not_hinder_the_next(home, w
     half.mkdir(parents=True)
     (half / "grafting.py").write_text("raise SystemError('half a file')\n")
     package_folder.use_packages()
-    assert dependencies.missing_packages() == ["grafting"]
+    assert dependencies.find_missing_packages() == ["grafting"]
     dependencies.install_missing(wheels)
     assert importlib.import_module("grafting").YEAR == 1898
 
@@ -172,7 +172,7 @@ def test_an_install_for_another_python_is_not_used(home):
     (home / "cpython-27-1").mkdir(parents=True)
     (home / "cpython-27-1" / "grafting.py").write_text("")
     package_folder.use_packages()
-    assert dependencies.missing_packages() == ["grafting"]
+    assert dependencies.find_missing_packages() == ["grafting"]
 
 
 def test_a_second_install_keeps_the_first(home, wheels, tmp_path, monkeypatch):
@@ -183,11 +183,11 @@ def test_a_second_install_keeps_the_first(home, wheels, tmp_path, monkeypatch):
     tag = sys.implementation.cache_tag
     assert names(home) == [f"{tag}-1", f"{tag}-2"]
     assert names(home / f"{tag}-2") == ["pruning-1.0.dist-info", "pruning.py"]
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
 
 
 def test_nothing_is_downloaded_without_consent_to_go_online(extension, home, monkeypatch):
-    monkeypatch.setattr(dependencies, "online", lambda: False)
+    monkeypatch.setattr(dependencies, "is_online", lambda: False)
     monkeypatch.setattr(dependencies, "install_packages", lambda *_, **__: pytest.fail("installed"))
     with pytest.raises(
         package_install.InstallError, match=r"Online access is disabled.*Allow Online Access.*--online-mode"
@@ -199,7 +199,7 @@ def test_nothing_is_downloaded_without_consent_to_go_online(extension, home, mon
 
 
 def test_the_dialog_says_in_words_why_an_install_cannot_start(extension, home, monkeypatch):
-    monkeypatch.setattr(dependencies, "online", lambda: False)
+    monkeypatch.setattr(dependencies, "is_online", lambda: False)
     with pytest.raises(RuntimeError) as raised:
         bpy.ops.fruitlangs.confirm_install()
     assert str(raised.value).strip() == f"Error: {dependencies.OFFLINE}"
@@ -207,7 +207,7 @@ def test_the_dialog_says_in_words_why_an_install_cannot_start(extension, home, m
 
 def test_the_operator_installs_from_a_folder_without_going_online(extension, home, wheels, capfd):
     assert bpy.ops.fruitlangs.install_dependencies(wheels=str(wheels)) == {"FINISHED"}
-    assert dependencies.missing_packages() == []
+    assert dependencies.find_missing_packages() == []
     assert "trying what was installed" in capfd.readouterr().out
     assert bpy.ops.fruitlangs.install_dependencies() == {"FINISHED"}
 
@@ -215,19 +215,19 @@ def test_the_operator_installs_from_a_folder_without_going_online(extension, hom
 def test_pip_is_never_asked_for_the_build_that_brings_gigabytes(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     assert package_versions.versions_for("1.26.4", "linux")["torch"].endswith("+cpu")
-    sources = package_install._sources(["torch"], None, False)
+    sources = package_install._list_sources(["torch"], None, False)
     assert sources == [[], ["--extra-index-url", package_versions.CPU_INDEX]]
-    assert package_install._sources(["scipy"], None, False) == [[]]
+    assert package_install._list_sources(["scipy"], None, False) == [[]]
 
 
 def test_pytorch_for_nvidia_cards_comes_from_where_it_is_on_each_system(monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
-    assert package_install._sources(["torch"], None, True) == [[]]
+    assert package_install._list_sources(["torch"], None, True) == [[]]
     monkeypatch.setattr(sys, "platform", "win32")
-    assert package_install._sources(["torch"], None, True) == [["--extra-index-url", package_versions.CUDA_INDEX]]
+    assert package_install._list_sources(["torch"], None, True) == [["--extra-index-url", package_versions.CUDA_INDEX]]
     monkeypatch.setattr(sys, "platform", "darwin")
     with pytest.raises(package_install.InstallError, match="only on Linux and Windows"):
-        dependencies.installing(cuda=True)
+        dependencies.prepare_install(cuda=True)
 
 
 @pytest.fixture
@@ -244,14 +244,14 @@ def cuda_wheels(tmp_path, monkeypatch):
 
 def test_pytorch_for_nvidia_cards_goes_before_the_one_that_is_there(home, cuda_wheels):
     before = list(sys.path)
-    assert not dependencies.cuda_torch()
-    dependencies.installing(cuda_wheels, cuda=True)(dependencies.silent)
+    assert not dependencies.has_cuda_torch()
+    dependencies.prepare_install(cuda_wheels, cuda=True)(dependencies.silent)
     install = home / f"{sys.implementation.cache_tag}-cuda-1"
     assert names(install) == [
         "cublas-1.0.dist-info", "cublas.py", "torch-2.13.0.dist-info", "torch.py",
     ]  # fmt: skip
     assert sys.path == [str(install), *before]
-    assert dependencies.cuda_torch()
+    assert dependencies.has_cuda_torch()
     package_folder.forget_packages()
     assert sys.path == before
 
@@ -259,25 +259,25 @@ def test_pytorch_for_nvidia_cards_goes_before_the_one_that_is_there(home, cuda_w
 def test_a_cpu_build_is_not_taken_for_pytorch_for_nvidia_cards(home, cuda_wheels, tmp_path):
     make_wheel(tmp_path / "cpu", "torch", version="2.13.0+cpu", needs=("numpy",))
     with pytest.raises(package_install.InstallError, match="put the wheels that are missing into"):
-        dependencies.installing(tmp_path / "cpu", cuda=True)(dependencies.silent)
+        dependencies.prepare_install(tmp_path / "cpu", cuda=True)(dependencies.silent)
     code = "class version:\n    cuda = None\n"
     make_wheel(tmp_path / "other", "torch", version="2.13.0", code=code, needs=("numpy",))
     with pytest.raises(package_install.InstallError, match="this is the CPU build of PyTorch"):
-        dependencies.installing(tmp_path / "other", cuda=True)(dependencies.silent)
+        dependencies.prepare_install(tmp_path / "other", cuda=True)(dependencies.silent)
     assert names(home) == []
 
 
 def test_too_little_disk_space_is_told_before_anything_is_unpacked(home, cuda_wheels, monkeypatch):
     monkeypatch.setitem(package_versions.CUDA_GIGABYTES, "linux", (1e6, 1e6))
     with pytest.raises(package_install.InstallError, match=r"GB of free disk space; this needs about 1000000\.0 GB"):
-        dependencies.installing(cuda_wheels, cuda=True)(dependencies.silent)
+        dependencies.prepare_install(cuda_wheels, cuda=True)(dependencies.silent)
     assert names(home) == []
 
 
 def test_the_versions_are_those_that_are_tested():
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     tested = dict(line.split("==") for line in lines if "==" in line)
-    tested = {package_install._normal(name): version for name, version in tested.items()}
+    tested = {package_install._normalise(name): version for name, version in tested.items()}
     assert {name: tested.get(name, version) for name, version in package_versions.VERSIONS.items()} == (
         package_versions.VERSIONS
     )
@@ -361,12 +361,12 @@ def test_preferences_name_what_is_missing_and_offer_to_install_it(extension, hom
 def test_preferences_say_what_computes_and_whether_blender_may_go_online(extension, monkeypatch):
     from fruitlangs.fruitlangs_addon import preferences
 
-    monkeypatch.setattr(preferences, "online", lambda: False)
+    monkeypatch.setattr(preferences, "is_online", lambda: False)
     drawn = drawn_preferences()
     assert [line for line in drawn if line.startswith("Computes on the CPU with")]
     assert "Offline: online access is disabled in Preferences > System" in drawn
     assert "Clear Caches…" in drawn
-    monkeypatch.setattr(preferences, "online", lambda: True)
+    monkeypatch.setattr(preferences, "is_online", lambda: True)
     assert "Online: downloads packages and checkpoints when you ask for them" in drawn_preferences()
 
 
@@ -375,9 +375,9 @@ def test_preferences_offer_pytorch_for_nvidia_cards_where_there_is_one(extension
 
     button = "Install PyTorch for NVIDIA Cards…"
     assert button not in drawn_preferences()
-    monkeypatch.setattr(preferences, "trains_on", lambda _: "Trains on NVIDIA GeForce RTX 3060 (Vulkan)")
+    monkeypatch.setattr(preferences, "describe_device", lambda _: "Trains on NVIDIA GeForce RTX 3060 (Vulkan)")
     assert button in drawn_preferences()
-    monkeypatch.setattr(dependencies, "cuda_torch", lambda: True)
+    monkeypatch.setattr(dependencies, "has_cuda_torch", lambda: True)
     assert button not in drawn_preferences()
 
 
@@ -415,9 +415,9 @@ def test_clearing_the_work_on_a_scene_leaves_its_results_and_what_is_not_a_stage
         (result / "cache" / name).mkdir(parents=True)
         (result / "cache" / name / "file").write_bytes(bytes(1000))
     (result / "fruits.json").touch()
-    assert caches.work_folder(bpy.context.scene) is None
+    assert caches.find_work_folder(bpy.context.scene) is None
     bpy.context.scene.fruitlangs.source = str(tmp_path / "tree")
-    assert caches.work_folder(bpy.context.scene) == result / "cache"
+    assert caches.find_work_folder(bpy.context.scene) == result / "cache"
     bpy.ops.fruitlangs.clear_caches(kernels=False)
     assert names(result / "cache") == ["embed-4567", "mine", "train-0123"]
     bpy.ops.fruitlangs.clear_caches(kernels=False, work=True)
@@ -429,7 +429,7 @@ def test_nothing_is_cleared_while_a_job_that_began_meanwhile_is_at_work(extensio
     stage = tmp_path / "tree_fruit" / "cache" / "train-0123"
     stage.mkdir(parents=True)
     bpy.context.scene.fruitlangs.source = str(tmp_path / "tree")
-    monkeypatch.setattr(caches, "busy", lambda _: True)
+    monkeypatch.setattr(caches, "is_busy", lambda _: True)
     told = []
     chosen = SimpleNamespace(kernels=False, checkpoints=False, work=True, report=lambda kind, text: told.append(text))
     assert caches.FRUITLANGS_OT_clear_caches.execute(chosen, bpy.context) == {"CANCELLED"}

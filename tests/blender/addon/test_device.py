@@ -11,22 +11,22 @@ import pytest
 from fruitlangs.engine.errors import GpuError
 from fruitlangs.engine.splatting.gpu import adapters
 from fruitlangs.operators.steps import device
-from fruitlangs.operators.steps.device import ON_CPU, trains_on
+from fruitlangs.operators.steps.device import ON_CPU, describe_device
 
 
 @pytest.fixture(autouse=True)
 def forgotten():
-    device._asked.cache_clear()
+    device._start_answer.cache_clear()
     yield
-    device._asked.cache_clear()
+    device._start_answer.cache_clear()
 
 
 def answer(wanted: str) -> str:
     end = time.monotonic() + 10
-    while not trains_on(wanted):
+    while not describe_device(wanted):
         assert time.monotonic() < end
         time.sleep(0.01)
-    return trains_on(wanted)
+    return describe_device(wanted)
 
 
 def test_the_card_is_named_once_its_driver_has_answered(monkeypatch):
@@ -38,10 +38,10 @@ def test_the_card_is_named_once_its_driver_has_answered(monkeypatch):
         return SimpleNamespace(name="Radeon 780M", backend="Vulkan")
 
     monkeypatch.setattr(adapters, "choose_adapter", choose)
-    assert trains_on("auto") == trains_on("auto") == ""
+    assert describe_device("auto") == describe_device("auto") == ""
     answered.set()
     assert answer("auto") == "Trains on Radeon 780M (Vulkan)"
-    assert trains_on(" ") == "Trains on Radeon 780M (Vulkan)"  # an empty setting is auto
+    assert describe_device(" ") == "Trains on Radeon 780M (Vulkan)"  # an empty setting is auto
     assert asked == ["auto"]
 
 

@@ -297,7 +297,7 @@ def test_blender_validates_installs_and_enables_the_zip(zip_path, tmp_path):
         "assert not bpy.ops.fruitlangs.count.poll()\n"
         "from bl_ext.user_default.fruitlangs.operators.packages import dependencies\n"
         "assert Path(bpy.utils.user_resource('EXTENSIONS')) in dependencies.packages_folder().parents\n"
-        "if not dependencies.missing_packages():\n"
+        "if not dependencies.find_missing_packages():\n"
         f"    bpy.context.scene.fruitlangs.source = {str(SAMPLE)!r}\n"
         "    bpy.ops.fruitlangs.import_scene()\n"
         "    assert bpy.context.scene.fruitlangs.result.cameras == 60\n"

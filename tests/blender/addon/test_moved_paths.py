@@ -13,17 +13,17 @@ import pytest
 from blender_examples import drawn
 
 from fruitlangs.fruitlangs_addon.panels.step_scene import ANOTHER_DRIVE, FRUITLANGS_PT_scene
-from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects
 from fruitlangs.operators.data.photo_files import photo_path
 from fruitlangs.operators.settings import moved_paths
 from fruitlangs.operators.settings.settings import (
     PHOTO_FILE,
     PHOTO_PROBLEM,
     is_of_another,
+    make_relative_path,
     read_config,
-    relative_path,
+    resolve_stored_file,
     source_folder,
-    stored_file,
 )
 from fruitlangs.operators.steps.show_result import show_result
 from fruitlangs.operators.steps.shown_source import enter_source
@@ -47,8 +47,8 @@ def test_a_file_saved_into_another_folder_still_finds_its_scene_and_results(save
         settings = bpy.context.scene.fruitlangs
         assert settings.out == "//../../here/tree_fruit"
         assert source_folder(settings) == tmp_path / "here" / "tree"
-        assert stored_file(settings.result.folder) == tmp_path / "here" / "tree_fruit"
-        assert stored_file(settings.result.features).parent == tmp_path / "here" / "tree_fruit"
+        assert resolve_stored_file(settings.result.folder) == tmp_path / "here" / "tree_fruit"
+        assert resolve_stored_file(settings.result.features).parent == tmp_path / "here" / "tree_fruit"
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "deep" / "b.blend"))
 
 
@@ -121,21 +121,21 @@ def unsaved(extension, counted_balls, balls, tmp_path, monkeypatch):
     settings.source, settings.out = f"{photos}/", str(home / "row" / "tree_fruit")
     origin = {**counted_balls.origin, "source": str(photos)}
     show_result(bpy.context, bpy.context.scene, dataclasses.replace(counted_balls, origin=origin))
-    for item in owned_objects(bpy.context.scene, "camera"):
+    for item in find_owned_objects(bpy.context.scene, "camera"):
         item[PHOTO_FILE] = str(photos / Path(item[PHOTO_FILE]).relative_to(balls))
     return photos
 
 
 def shown_paths() -> list[str]:
     """What the open file has of a path that leaves the folder of the .blend or is absolute."""
-    return [stored.text for stored in moved_paths.stored_paths() if stored.text.startswith(("/", "//.."))]
+    return [stored.text for stored in moved_paths.iterate_stored_paths() if stored.text.startswith(("/", "//.."))]
 
 
 def test_the_first_save_makes_every_path_relative(unsaved):
     settings = bpy.context.scene.fruitlangs
     aside = settings.review.aside.add()
     aside.source = str(unsaved.parent / "other")
-    bpy.context.view_layer.objects.active = owned_object(bpy.context.scene, "fruit")
+    bpy.context.view_layer.objects.active = find_owned_object(bpy.context.scene, "fruit")
     bpy.ops.fruitlangs.best_photo()
     settings.result.folder = settings.result.features = ""  # of another folder here
     assert len(shown_paths()) > 10
@@ -143,7 +143,7 @@ def test_the_first_save_makes_every_path_relative(unsaved):
     assert (settings.source, settings.out, settings.result.source) == ("//tree", "//tree_fruit", "//tree")
     assert aside.source == "//other"
     assert bpy.data.images[0].filepath.startswith("//tree/images/")
-    assert all(item[PHOTO_FILE].startswith("//tree/") for item in owned_objects(bpy.context.scene, "camera"))
+    assert all(item[PHOTO_FILE].startswith("//tree/") for item in find_owned_objects(bpy.context.scene, "camera"))
     assert [text for text in shown_paths() if not text.startswith("//")] == []
 
 
@@ -157,7 +157,7 @@ def test_a_folder_that_is_moved_with_its_blend_is_found_with_photos_and_decision
     bpy_scene = bpy.context.scene
     assert source_folder(bpy_scene.fruitlangs) == moved / "tree"
     assert not is_of_another(bpy_scene.fruitlangs, moved / "tree")
-    assert {photo_path(item).parent for item in owned_objects(bpy_scene, "camera")} == {moved / "tree" / "images"}
+    assert {photo_path(item).parent for item in find_owned_objects(bpy_scene, "camera")} == {moved / "tree" / "images"}
     assert enter_source(bpy_scene, moved / "tree") == []
     assert len(bpy_scene.fruitlangs.review.log) == 1
 
@@ -166,7 +166,7 @@ def test_no_home_folder_is_in_a_file_that_is_saved_next_to_its_photos(unsaved, m
     settings = bpy.context.scene.fruitlangs
     settings.error = settings.result.notices = settings.teach.saved = f"{Path.home()}/words cannot be read"
     settings.check.findings.add().text = f"{Path.home()}/row/tree/1.jpg is blurred"
-    owned_object(bpy.context.scene, "camera")[PHOTO_PROBLEM] = f"{Path.home()}/row/1.jpg is gone"
+    find_owned_object(bpy.context.scene, "camera")[PHOTO_PROBLEM] = f"{Path.home()}/row/1.jpg is gone"
     settings.result.folder = settings.result.features = ""
     file = unsaved.parent / "a.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(file), compress=False)
@@ -182,7 +182,7 @@ def test_a_photo_in_blenders_temporary_folder_is_shown_on_and_not_in_the_file(un
     shutil.copy(next((unsaved / "images").iterdir()), temporary / "undistorted.png")
     image = bpy.data.images.load(str(temporary / "undistorted.png"))
     image["fruitlangs"], image.use_fake_user = "photo", True
-    monkeypatch.setattr(moved_paths, "temporary_folder", lambda: temporary)
+    monkeypatch.setattr(moved_paths, "find_temporary_folder", lambda: temporary)
     file = unsaved.parent / "a.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(file), compress=False)
     assert image.filepath == str(temporary / "undistorted.png")
@@ -190,10 +190,10 @@ def test_a_photo_in_blenders_temporary_folder_is_shown_on_and_not_in_the_file(un
 
 
 def test_a_copy_of_a_file_that_was_never_saved_leaves_its_paths_absolute(unsaved):
-    before = [stored.text for stored in moved_paths.stored_paths()]
+    before = [stored.text for stored in moved_paths.iterate_stored_paths()]
     file = unsaved.parent / "copy.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
-    after = [stored.text for stored in moved_paths.stored_paths()]
+    after = [stored.text for stored in moved_paths.iterate_stored_paths()]
     assert [text.rstrip("/") for text in after] == [text.rstrip("/") for text in before]
     bpy.ops.wm.open_mainfile(filepath=str(file))
     assert bpy.context.scene.fruitlangs.source == "//tree"
@@ -222,8 +222,8 @@ def test_a_path_on_another_drive_stays_absolute_and_the_panel_says_so(unsaved, m
 def test_a_relative_path_is_right_through_symbolic_links(tmp_path):
     (tmp_path / "disk" / "deep" / "tree").mkdir(parents=True)
     (tmp_path / "link").symlink_to(tmp_path / "disk" / "deep")
-    assert relative_path(tmp_path / "disk" / "deep" / "tree", tmp_path / "link") == "//tree"
-    assert relative_path(tmp_path / "link" / "tree", tmp_path / "disk" / "deep") == "//tree"
+    assert make_relative_path(tmp_path / "disk" / "deep" / "tree", tmp_path / "link") == "//tree"
+    assert make_relative_path(tmp_path / "link" / "tree", tmp_path / "disk" / "deep") == "//tree"
     (tmp_path / "photos").mkdir()
     # From the link, .. leads to tmp_path for Blender and to the disk for the file system.
-    assert relative_path(tmp_path / "photos", tmp_path / "link") == str(tmp_path / "photos")
+    assert make_relative_path(tmp_path / "photos", tmp_path / "link") == str(tmp_path / "photos")

@@ -67,7 +67,7 @@ def test_nothing_is_downloaded_where_blender_may_not_go_online(extension, monkey
     settings = bpy.context.scene.fruitlangs
     settings.config.embed.allow_download = True
     for online in (False, True):
-        monkeypatch.setattr(conversions, "online", lambda allowed=online: allowed)
+        monkeypatch.setattr(conversions, "is_online", lambda allowed=online: allowed)
         assert conversions.read_config(settings).embed.allow_download is online
 
 
@@ -145,13 +145,13 @@ def test_a_preset_sets_training_as_it_does_on_the_command_line(extension, preset
 
 def test_settings_count_as_given_when_they_were_set_whatever_their_value(extension):
     settings = bpy.context.scene.fruitlangs
-    assert conversions.given_settings(settings) == set()
+    assert conversions.list_given_settings(settings) == set()
     settings.config.train.steps = PRESETS["standard"].steps
-    assert conversions.given_settings(settings) == {"train.steps"}
+    assert conversions.list_given_settings(settings) == {"train.steps"}
     settings.preset = "quick"
-    assert conversions.given_settings(settings) == {"train.steps", "train.max_gaussians", "train.coarse_until"}
+    assert conversions.list_given_settings(settings) == {"train.steps", "train.max_gaussians", "train.coarse_until"}
     settings.preset = "standard"
-    assert conversions.given_settings(settings) == set()
+    assert conversions.list_given_settings(settings) == set()
 
 
 def test_words_are_split_at_commas():
@@ -188,7 +188,7 @@ def test_paths_are_kept_relative_to_the_blend(extension, tmp_path):
     (tmp_path / "tree").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     settings = bpy.context.scene.fruitlangs
-    settings.source = conversions.stored_path(tmp_path / "tree")
+    settings.source = conversions.format_stored_path(tmp_path / "tree")
     assert settings.source == "//tree"
     assert conversions.source_folder(settings) == tmp_path / "tree"
     assert conversions.result_folder(settings) == tmp_path / "tree_fruit"

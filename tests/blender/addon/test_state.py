@@ -9,9 +9,9 @@ import bpy
 import numpy as np
 import pytest
 
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute
 from fruitlangs.operators.jobs.target_scene import Target
-from fruitlangs.operators.packages.caches import work_caches
+from fruitlangs.operators.packages.caches import list_work_caches
 from fruitlangs.operators.steps.show_result import show_result
 
 
@@ -26,11 +26,11 @@ def open_balls(counted_balls, folder: Path) -> None:
 def everything() -> dict:
     """All that the panel and the viewport show, as plain values."""
     scene = bpy.context.scene
-    item = owned_object(scene, "gaussians")
+    item = find_owned_object(scene, "gaussians")
     attributes = {name: get_attribute(item.data, name).tolist() for name in ("position", "scale", "probability")}
     fruit = {
         each.name: (*np.array(each.matrix_basis).ravel(), *(str(each[key]) for key in ("id", "label", "kind")))
-        for each in owned_objects(scene, "fruit")
+        for each in find_owned_objects(scene, "fruit")
     }
     result = scene.fruitlangs.result
     names = {each.identifier for each in result.bl_rna.properties} - {"rna_type", "name"}
@@ -58,14 +58,14 @@ def test_a_file_moved_with_its_results_still_answers(extension, counted_balls, t
 
 def test_a_file_moved_without_its_results_says_so_and_loses_nothing(extension, counted_balls, tmp_path):
     open_balls(counted_balls, tmp_path)
-    fruit = len(owned_objects(bpy.context.scene, "fruit"))
+    fruit = len(find_owned_objects(bpy.context.scene, "fruit"))
     shutil.rmtree(tmp_path / "out")
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "tree.blend"))
     with pytest.raises(RuntimeError, match=r"features in .* are missing. Press Reconstruct"):
         bpy.ops.fruitlangs.ask()
     with pytest.raises(RuntimeError, match=r"does not exist. Choose it again"):
         bpy.ops.fruitlangs.count()
-    assert len(owned_objects(bpy.context.scene, "fruit")) == fruit == bpy.context.scene.fruitlangs.result.count
+    assert len(find_owned_objects(bpy.context.scene, "fruit")) == fruit == bpy.context.scene.fruitlangs.result.count
 
 
 def test_two_scenes_in_one_file_each_keep_their_own(extension, counted, counted_with, result_of, tmp_path):
@@ -73,10 +73,10 @@ def test_two_scenes_in_one_file_each_keep_their_own(extension, counted, counted_
     show_result(bpy.context, first, result_of(counted, tmp_path / "one"))
     pears = counted_with(label="pear", fruits=2)
     show_result(bpy.context, second, result_of(pears, tmp_path / "two"))
-    assert [item["label"] for item in owned_objects(first, "fruit")] == ["apple"] * 3
-    assert [item["label"] for item in owned_objects(second, "fruit")] == ["pear"] * 2
+    assert [item["label"] for item in find_owned_objects(first, "fruit")] == ["apple"] * 3
+    assert [item["label"] for item in find_owned_objects(second, "fruit")] == ["pear"] * 2
     assert (first.fruitlangs.result.count, second.fruitlangs.result.count) == (3, 2)
-    assert owned_object(first, "gaussians") != owned_object(second, "gaussians")
+    assert find_owned_object(first, "gaussians") != find_owned_object(second, "gaussians")
 
 
 def test_a_count_that_ends_in_edit_mode_is_shown_all_the_same(extension, counted, result_of, tmp_path):
@@ -85,7 +85,7 @@ def test_a_count_that_ends_in_edit_mode_is_shown_all_the_same(extension, counted
     bpy.ops.object.mode_set(mode="EDIT")
     show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
     assert bpy.context.mode == "OBJECT"
-    assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+    assert len(find_owned_objects(bpy.context.scene, "fruit")) == 3
 
 
 def test_a_count_that_ends_leaves_the_user_in_the_edit_mode_of_another_scene(extension, counted, result_of, tmp_path):
@@ -96,7 +96,7 @@ def test_a_count_that_ends_leaves_the_user_in_the_edit_mode_of_another_scene(ext
     bpy.ops.object.mode_set(mode="EDIT")
     show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
     assert bpy.context.mode == "EDIT_MESH"
-    assert len(owned_objects(first, "fruit")) == 3
+    assert len(find_owned_objects(first, "fruit")) == 3
 
 
 def test_a_count_that_ends_leaves_the_edit_mode_of_its_scene_in_another_window(extension, counted, result_of, tmp_path):
@@ -107,12 +107,12 @@ def test_a_count_that_ends_leaves_the_edit_mode_of_its_scene_in_another_window(e
     with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):  # the timer's window shows this one
         show_result(bpy.context, target.scene(bpy.context), result_of(counted, tmp_path))
     assert bpy.context.mode == "OBJECT"
-    assert len(owned_objects(first, "fruit")) == 3
+    assert len(find_owned_objects(first, "fruit")) == 3
 
 
 def test_gaussians_in_edit_mode_are_not_written_and_it_is_reported(extension, counted_balls, tmp_path):
     open_balls(counted_balls, tmp_path)
-    item = owned_object(bpy.context.scene, "gaussians")
+    item = find_owned_object(bpy.context.scene, "gaussians")
     bpy.context.view_layer.objects.active = item
     bpy.ops.object.mode_set(mode="EDIT")
     with pytest.raises(RuntimeError, match="Edit Mode"):
@@ -123,11 +123,11 @@ def test_gaussians_in_edit_mode_are_not_written_and_it_is_reported(extension, co
 
 def test_gaussians_deleted_meanwhile_come_back_with_the_next_count(extension, counted, result_of, tmp_path):
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
-    bpy.data.objects.remove(owned_object(bpy.context.scene, "gaussians"))
-    bpy.data.objects.remove(owned_object(bpy.context.scene, "root"))
+    bpy.data.objects.remove(find_owned_object(bpy.context.scene, "gaussians"))
+    bpy.data.objects.remove(find_owned_object(bpy.context.scene, "root"))
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
-    assert owned_object(bpy.context.scene, "gaussians").parent == owned_object(bpy.context.scene, "root")
-    assert len(owned_objects(bpy.context.scene, "fruit")) == 3
+    assert find_owned_object(bpy.context.scene, "gaussians").parent == find_owned_object(bpy.context.scene, "root")
+    assert len(find_owned_objects(bpy.context.scene, "fruit")) == 3
 
 
 ON_A_SCENE = ("import_scene", "reconstruct", "count", "ask", "export_csv")
@@ -151,7 +151,7 @@ def test_a_linked_scene_is_reported_before_anything_is_done_in_it(extension, tmp
 def test_all_that_a_run_keeps_next_to_its_results_is_what_can_be_cleared(extension, counted_balls, tmp_path):
     bpy.context.scene.fruitlangs.out = str(counted_balls.out)
     kept = sorted(path for path in (counted_balls.out / "cache").iterdir() if path.is_dir())
-    assert kept == work_caches(bpy.context.scene) != []
+    assert kept == list_work_caches(bpy.context.scene) != []
 
 
 def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_balls, tmp_path):
@@ -160,8 +160,8 @@ def test_undo_takes_an_import_back_and_redo_brings_it_again(extension, counted_b
     bpy.ops.fruitlangs.import_scene(directory=str(folder))
     bpy.ops.ed.undo_push(message="Import")
     bpy.ops.ed.undo()
-    assert owned_object(bpy.context.scene, "gaussians") is None
+    assert find_owned_object(bpy.context.scene, "gaussians") is None
     assert bpy.context.scene.fruitlangs.result.count == -1
     bpy.ops.ed.redo()
-    assert owned_object(bpy.context.scene, "gaussians") is not None
+    assert find_owned_object(bpy.context.scene, "gaussians") is not None
     assert bpy.context.scene.fruitlangs.result.count == counted_balls.fruit_count.count

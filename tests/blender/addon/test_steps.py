@@ -10,7 +10,7 @@ from blender_examples import drawn, imported
 
 from fruitlangs.fruitlangs_addon.panels.steps import CHECKS, ICONS, step_of
 from fruitlangs.fruitlangs_addon.registration import CLASSES
-from fruitlangs.operators.blender_data import owned_objects
+from fruitlangs.operators.blender_data import find_owned_objects
 from fruitlangs.operators.jobs import jobs
 from fruitlangs.operators.steps.show_result import show_result
 
@@ -61,7 +61,7 @@ def test_after_a_count_the_review_is_next_where_fruit_are_uncertain_and_says_how
     count(probability=0.7)
     assert states() == ["done", "done", "done", "done", "next", "ready"]
     assert sentence("review").startswith("3 fruit below 0.80 are not reviewed yet")
-    for item in owned_objects(bpy.context.scene, "fruit"):
+    for item in find_owned_objects(bpy.context.scene, "fruit"):
         item.select_set(True)
     bpy.ops.fruitlangs.confirm_fruit()
     assert (states()[4], sentence("review")) == ("done", "All 3 uncertain fruit are reviewed")

@@ -12,14 +12,14 @@ from mathutils import Euler, Matrix, Vector
 
 from fruitlangs.fruitlangs_addon.panels.step_count import FRUITLANGS_PT_count
 from fruitlangs.fruitlangs_addon.panels.step_scene import FRUITLANGS_PT_scene
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute
 from fruitlangs.operators.data.fruit_objects import REVIEW
 from fruitlangs.operators.data.read_cameras import read_cameras, read_up
 from fruitlangs.operators.data.read_fruits import read_fruits
-from fruitlangs.operators.data.read_gaussians import deleted_gaussians
+from fruitlangs.operators.data.read_gaussians import count_deleted_gaussians
 from fruitlangs.operators.data.write_root import write_root
 from fruitlangs.operators.photos.photo_backgrounds import background_of
-from fruitlangs.operators.root_placement import shown_placement
+from fruitlangs.operators.root_placement import read_placement
 from fruitlangs.operators.settings.settings import read_config
 from fruitlangs.operators.steps.show_result import show_result, show_scene
 from fruitlangs.operators.viewport.gaussian_nodes import get_input, set_input
@@ -29,7 +29,7 @@ def delete_gaussians(*numbers):
     """Delete these Gaussians as the user does in Edit Mode."""
     import bmesh
 
-    item = owned_object(bpy.context.scene, "gaussians")
+    item = find_owned_object(bpy.context.scene, "gaussians")
     shape = bmesh.new()
     shape.from_mesh(item.data)
     shape.verts.ensure_lookup_table()
@@ -48,7 +48,7 @@ def test_a_recount_says_which_gaussians_come_back(extension, counted, result_of,
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     notices = bpy.context.scene.fruitlangs.result.notices
     assert "Edited Gaussians were counted as reconstructed: 3 deleted, 1 moved. To leave out" in notices
-    assert len(owned_object(bpy.context.scene, "gaussians").data.vertices) == 20
+    assert len(find_owned_object(bpy.context.scene, "gaussians").data.vertices) == 20
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     assert "Edited" not in bpy.context.scene.fruitlangs.result.notices
 
@@ -58,7 +58,7 @@ def test_a_copied_gaussian_does_not_hide_a_deleted_one(extension, counted, resul
     mesh = delete_gaussians(0, 1).data
     mesh.vertices.add(1)
     mesh.attributes["gaussian_index"].data[18].value = 7
-    assert deleted_gaussians(bpy.context.scene) == 2
+    assert count_deleted_gaussians(bpy.context.scene) == 2
 
 
 def test_reconstructing_the_same_gaussians_keeps_the_count_and_says_that_deleted_ones_are_back(
@@ -69,20 +69,20 @@ def test_reconstructing_the_same_gaussians_keeps_the_count_and_says_that_deleted
     train = bpy_scene.fruitlangs.config.train
     train.steps, train.max_gaussians = 150, 3000
     show_result(bpy.context, bpy_scene, counted_balls)
-    owners = get_attribute(owned_object(bpy_scene, "gaussians").data, "fruit_id")
+    owners = get_attribute(find_owned_object(bpy_scene, "gaussians").data, "fruit_id")
     gone = int(np.flatnonzero(owners == 1)[0])
     delete_gaussians(gone)
     assert bpy.ops.fruitlangs.reconstruct() == {"FINISHED"}
     assert bpy_scene.fruitlangs.result.count == counted_balls.fruit_count.count
     assert "Edited Gaussians are as reconstructed again: 1 deleted" in bpy_scene.fruitlangs.result.notices
-    after = get_attribute(owned_object(bpy_scene, "gaussians").data, "fruit_id")
+    after = get_attribute(find_owned_object(bpy_scene, "gaussians").data, "fruit_id")
     np.testing.assert_array_equal(np.delete(after, gone), np.delete(owners, gone))
 
 
 def test_a_recount_changes_only_the_mesh_of_the_gaussians(extension, counted, result_of, tmp_path):
     bpy_scene = bpy.context.scene
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    item, own = owned_object(bpy_scene, "gaussians"), bpy.data.collections.new("Mine")
+    item, own = find_owned_object(bpy_scene, "gaussians"), bpy.data.collections.new("Mine")
     bpy_scene.collection.children.link(own)
     own.objects.link(item)
     item.name, item.hide_render, item.data.name = "Old tree", True, "Old mesh"
@@ -94,27 +94,27 @@ def test_a_recount_changes_only_the_mesh_of_the_gaussians(extension, counted, re
     copy.data = item.data.copy()
     bpy_scene.collection.objects.link(copy)
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    assert owned_object(bpy_scene, "gaussians") == item
+    assert find_owned_object(bpy_scene, "gaussians") == item
     assert (item.name, item.hide_render, item.hide_get(), item.data.name) == ("Old tree", True, True, "Old mesh")
     assert [material.name for material in item.data.materials] == ["Bark"]
     assert [modifier.name for modifier in item.modifiers] == ["Gaussians", "Mine"]
     assert get_input(item.modifiers[0], "Reach") == 77.0
     assert item in list(own.objects)
     assert copy.name in bpy_scene.objects
-    assert owned_objects(bpy_scene, "gaussians") == [item]
+    assert find_owned_objects(bpy_scene, "gaussians") == [item]
 
 
 def test_sparse_points_that_the_user_shows_or_hides_stay_so(extension, counted, result_of, tmp_path):
     bpy_scene = bpy.context.scene
     show_scene(bpy.context, bpy_scene, counted.scene)
-    item = owned_object(bpy_scene, "points")
+    item = find_owned_object(bpy_scene, "points")
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
     assert (item.hide_get(), item.hide_render) == (True, True)
     item.hide_set(False)
     item.hide_render = False
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
     show_scene(bpy.context, bpy_scene, counted.scene)
-    assert owned_object(bpy_scene, "points") == item
+    assert find_owned_object(bpy_scene, "points") == item
     assert (item.hide_get(), item.hide_render) == (False, False)
 
 
@@ -126,7 +126,7 @@ MOVE = Matrix.LocRotScale(Vector((5.0, -7.0, 2.0)), Euler((0.3, 0.1, 1.0)), Vect
 def placed(extension, counted, result_of, tmp_path):
     """The count's scene, with the root moved by the user."""
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
-    place(owned_object(bpy.context.scene, "root"))
+    place(find_owned_object(bpy.context.scene, "root"))
     return bpy.context.scene
 
 
@@ -136,11 +136,11 @@ def place(root):
 
 
 def where(bpy_scene) -> np.ndarray:
-    return np.array(owned_object(bpy_scene, "root").matrix_basis, np.float64)
+    return np.array(find_owned_object(bpy_scene, "root").matrix_basis, np.float64)
 
 
 def test_a_recount_an_import_and_their_like_leave_the_root_where_the_user_put_it(placed, counted, result_of, tmp_path):
-    root, own = owned_object(placed, "root"), bpy.data.objects.new("Hill", None)
+    root, own = find_owned_object(placed, "root"), bpy.data.objects.new("Hill", None)
     placed.collection.objects.link(own)
     root.parent, root.name, root.hide_render = own, "My tree", True
     before = where(placed)
@@ -157,7 +157,7 @@ def test_reconstructing_leaves_the_root_where_the_user_put_it(extension, counted
     train = bpy_scene.fruitlangs.config.train
     train.steps, train.max_gaussians = 150, 3000
     show_result(bpy.context, bpy_scene, counted_balls)
-    place(owned_object(bpy_scene, "root"))
+    place(find_owned_object(bpy_scene, "root"))
     before = where(bpy_scene)
     assert bpy.ops.fruitlangs.reconstruct() == {"FINISHED"}
     np.testing.assert_allclose(where(bpy_scene), before, rtol=1e-5, atol=1e-4)
@@ -168,7 +168,7 @@ def test_a_scale_that_a_count_finds_applies_below_the_users_placement(placed, co
     fresh = bpy.data.scenes.new("Fresh")
     expected = MOVE @ write_root(fresh, counted_with(metres_per_unit=0.25).scene).matrix_basis
     np.testing.assert_allclose(where(placed), expected, rtol=1e-4, atol=1e-3)
-    assert owned_object(placed, "root")["metres_per_unit"] == 0.25
+    assert find_owned_object(placed, "root")["metres_per_unit"] == 0.25
 
 
 def test_a_measured_length_scales_the_tree_about_its_foot_where_the_user_put_it(placed):
@@ -183,9 +183,9 @@ def test_setting_the_ground_levels_the_tree_and_keeps_its_position_heading_and_s
     points = [(0.0, 2.0, 3.0), (2.0, 2.0, 3.0), (1.0, 3.0, 4.5)]
     bpy.ops.fruitlangs.set_ground(points=np.ravel(points).tolist())
     bpy.context.view_layer.update()
-    world = owned_object(placed, "root").matrix_world
+    world = find_owned_object(placed, "root").matrix_world
     np.testing.assert_allclose([(world @ Vector(point)).z for point in points], 0.0, atol=2e-3)
-    user = shown_placement(placed)
+    user = read_placement(placed)
     np.testing.assert_allclose(user.translation, (5.0, -7.0, 0.0), atol=1e-3)
     np.testing.assert_allclose(user.to_scale(), 100.0, rtol=1e-4)
     heading = MOVE.to_quaternion()
@@ -212,7 +212,7 @@ def test_the_panel_shows_the_placement_and_resets_it(extension, counted, result_
     before = where(bpy_scene)
     assert "Placed by you" not in drawn(FRUITLANGS_PT_scene).text
     assert not bpy.ops.fruitlangs.reset_placement.poll()
-    place(owned_object(bpy_scene, "root"))
+    place(find_owned_object(bpy_scene, "root"))
     assert "Placed by you: moved, rotated, 100 times as large" in drawn(FRUITLANGS_PT_scene).text
     assert bpy.ops.fruitlangs.reset_placement() == {"FINISHED"}
     np.testing.assert_allclose(where(bpy_scene), before, atol=1e-6)
@@ -221,7 +221,7 @@ def test_the_panel_shows_the_placement_and_resets_it(extension, counted, result_
 
 def test_the_placement_outlives_apply_transform(placed, counted, result_of, tmp_path):
     before = where(placed)
-    root = owned_object(placed, "root")
+    root = find_owned_object(placed, "root")
     bpy.ops.object.select_all(action="DESELECT")
     root.select_set(True)
     bpy.context.view_layer.objects.active = root
@@ -237,7 +237,7 @@ def test_another_source_is_not_put_where_the_one_before_stood(placed, counted, r
     other = result_of(counted, tmp_path)
     other.origin["source"] = str(tmp_path / "two")
     show_result(bpy.context, placed, other)
-    assert shown_placement(placed) is None
+    assert read_placement(placed) is None
     assert "its placement was that of" in placed.fruitlangs.result.notices
 
 
@@ -247,7 +247,7 @@ def test_the_view_turns_to_the_tree_where_the_user_put_it(placed, monkeypatch, s
 
     screens = [screen for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
     view = next(area.spaces.active.region_3d for area in screens[0].areas if area.type == "VIEW_3D")
-    root = owned_object(placed, "root")
+    root = find_owned_object(placed, "root")
     bpy.ops.fruitlangs.reset_placement()
     look_at_scene(screens, placed)
     place_before, distance = view.view_location.copy(), view.view_distance
@@ -258,7 +258,7 @@ def test_the_view_turns_to_the_tree_where_the_user_put_it(placed, monkeypatch, s
 
 
 def fruit(number: int) -> bpy.types.Object:
-    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+    return next(item for item in find_owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
 
 
 def test_a_recount_writes_into_the_fruit_that_it_finds_again(extension, counted, result_of, tmp_path):
@@ -279,7 +279,7 @@ def test_a_recount_writes_into_the_fruit_that_it_finds_again(extension, counted,
     assert fruit(2) == item == bpy.context.view_layer.objects.active
     assert (item.name, item["weight"], item.hide_get(), fruit(1).hide_viewport) == ("The large one", 0.2, True, True)
     assert item in list(own.objects)
-    assert {each.data.materials[0].name for each in owned_objects(bpy_scene, "fruit")} == {"Wax"}
+    assert {each.data.materials[0].name for each in find_owned_objects(bpy_scene, "fruit")} == {"Wax"}
     assert [mesh.name for mesh in bpy.data.meshes if mesh.name.startswith("apple")] == ["apple"]
     for each, true in zip(read_fruits(bpy_scene).fruits, counted.fruit_count.fruits, strict=True):
         np.testing.assert_allclose(each.center, true.center, atol=1e-5)
@@ -295,7 +295,7 @@ def test_an_object_is_not_used_for_another_fruit_of_its_number(extension, counte
         bpy_scene,
         result_of(counted, tmp_path, fruit_count=dataclasses.replace(counted.fruit_count, fruits=moved)),
     )
-    assert [item.name for item in owned_objects(bpy_scene, "fruit")] == ["apple.001", "apple.002", "apple.003"]
+    assert [item.name for item in find_owned_objects(bpy_scene, "fruit")] == ["apple.001", "apple.002", "apple.003"]
 
 
 def test_of_a_rejected_fruit_a_recount_applies_the_decision_again_and_reopening_shows_it(
@@ -338,7 +338,7 @@ def test_collections_of_trees_stay_and_those_without_fruit_go(extension, counted
 def test_a_recount_writes_into_the_camera_of_each_photo(extension, counted, result_of, tmp_path):
     bpy_scene = bpy.context.scene
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    cameras = owned_objects(bpy_scene, "camera")
+    cameras = find_owned_objects(bpy_scene, "camera")
     item = cameras[4]
     pose = np.array(item.matrix_basis)
     item.hide_viewport, item.data.display_size, item.data.clip_end, item.name = True, 9.0, 77.0, "From the ladder"
@@ -347,7 +347,7 @@ def test_a_recount_writes_into_the_camera_of_each_photo(extension, counted, resu
     bpy_scene.collection.objects.link(copy)
     bpy_scene.camera, bpy_scene.render.resolution_x = item, 4000
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    assert owned_objects(bpy_scene, "camera") == cameras
+    assert find_owned_objects(bpy_scene, "camera") == cameras
     assert (item.hide_viewport, item.data.display_size, item.data.clip_end) == (True, 9.0, 77.0)
     assert (bpy_scene.camera, bpy_scene.render.resolution_x, item.name) == (item, 4000, "From the ladder")
     np.testing.assert_allclose(np.array(item.matrix_basis), pose, atol=1e-6)
@@ -360,17 +360,17 @@ def test_cameras_of_photos_that_are_no_longer_read_are_removed_and_the_view_is_t
 ):
     bpy_scene = bpy.context.scene
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    bpy_scene.camera = owned_objects(bpy_scene, "camera")[5]
+    bpy_scene.camera = find_owned_objects(bpy_scene, "camera")[5]
     fewer = dataclasses.replace(counted.scene, cameras=counted.scene.cameras[:4], images=counted.scene.images[:4])
     show_scene(bpy.context, bpy_scene, fewer)
-    assert [item["photo"] for item in owned_objects(bpy_scene, "camera")] == [photo.name for photo in fewer.images]
-    assert bpy_scene.camera in owned_objects(bpy_scene, "camera")
+    assert [item["photo"] for item in find_owned_objects(bpy_scene, "camera")] == [photo.name for photo in fewer.images]
+    assert bpy_scene.camera in find_owned_objects(bpy_scene, "camera")
 
 
 def test_clipping_of_cameras_follows_a_scale_that_a_count_finds(extension, counted, counted_with, result_of, tmp_path):
     bpy_scene = bpy.context.scene
     show_result(bpy.context, bpy_scene, result_of(counted, tmp_path))
-    camera = owned_object(bpy_scene, "camera")
+    camera = find_owned_object(bpy_scene, "camera")
     before = camera.data.clip_start
     show_result(bpy.context, bpy_scene, result_of(counted_with(metres_per_unit=0.25), tmp_path))
     assert camera.data.clip_start == pytest.approx(0.25 * before)
@@ -380,7 +380,7 @@ def test_the_photo_behind_a_camera_stays_if_it_is_the_same(extension, counted_ba
     bpy_scene = bpy.context.scene
     show_result(bpy.context, bpy_scene, counted_balls)
     bpy.context.view_layer.update()
-    bpy.context.view_layer.objects.active = owned_object(bpy_scene, "fruit")
+    bpy.context.view_layer.objects.active = find_owned_object(bpy_scene, "fruit")
     bpy.ops.fruitlangs.best_photo()
     camera = bpy_scene.camera
     show_result(bpy.context, bpy_scene, counted_balls)

@@ -14,9 +14,9 @@ from mathutils import Matrix
 from PIL import Image
 from plyfile import PlyData
 
-from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects
 from fruitlangs.operators.export.export import NAMES
-from fruitlangs.operators.export.export_file import default_path
+from fruitlangs.operators.export.export_file import choose_default_path
 from fruitlangs.operators.export.export_usd import has_usd
 from fruitlangs.operators.steps.show_result import show_result
 
@@ -49,7 +49,7 @@ def reviewed(shown):
 
 
 def fruit(number):
-    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+    return next(item for item in find_owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
 
 
 def export(name, path, **options):
@@ -57,7 +57,7 @@ def export(name, path, **options):
 
 
 def world(item):
-    return np.array(owned_object(bpy.context.scene, "root").matrix_basis @ item.matrix_basis.translation)
+    return np.array(find_owned_object(bpy.context.scene, "root").matrix_basis @ item.matrix_basis.translation)
 
 
 def test_the_table_has_the_corrected_fruit(reviewed, tmp_path):
@@ -110,13 +110,13 @@ def test_usd_has_the_corrected_objects_where_blender_shows_them(reviewed, tmp_pa
     fruit(1).hide_viewport = True  # out of the way, yet counted
     fruit(3).hide_set(True)
     places = {name: world(fruit(number)) for name, number in (("apple_001", 1), ("pear_003", 3))}
-    before = {item.name: [each.name for each in item.data.materials] for item in owned_objects(reviewed, "fruit")}
+    before = {item.name: [each.name for each in item.data.materials] for item in find_owned_objects(reviewed, "fruit")}
     assert export("export_usd", tmp_path / "a.usdc") == {"FINISHED"}
     assert fruit(1).hide_viewport
     assert fruit(3).hide_get()
-    assert {item.name: [each.name for each in item.data.materials] for item in owned_objects(reviewed, "fruit")} == (
-        before
-    )
+    assert {
+        item.name: [each.name for each in item.data.materials] for item in find_owned_objects(reviewed, "fruit")
+    } == (before)
     assert not [item for item in bpy.data.collections if "USD" in item.name]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.usd_import(filepath=str(tmp_path / "a.usdc"))
@@ -237,9 +237,9 @@ def test_an_export_without_a_file_name_or_into_a_folder_says_what_to_do(shown, t
 
 def test_files_are_proposed_next_to_the_blend_and_before_that_next_to_the_results(shown, tmp_path):
     shown.fruitlangs.source = str(tmp_path / "row 7")
-    assert default_path(shown, ".csv") == tmp_path / "row 7_fruit.csv"
+    assert choose_default_path(shown, ".csv") == tmp_path / "row 7_fruit.csv"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "tree.blend"))
-    assert default_path(bpy.context.scene, ".csv") == tmp_path / "tree_fruit.csv"
+    assert choose_default_path(bpy.context.scene, ".csv") == tmp_path / "tree_fruit.csv"
 
 
 def test_an_export_changes_nothing_in_the_file(reviewed, tmp_path):
@@ -264,7 +264,9 @@ def test_fruit_of_another_scene_in_the_file_are_not_exported(shown, counted_with
 
 def test_a_turned_root_changes_neither_table_nor_meshes(shown, tmp_path):
     export("export_csv", tmp_path / "a.csv")
-    owned_object(shown, "root").matrix_basis = Matrix.Translation((5, 0, 0)) @ owned_object(shown, "root").matrix_basis
+    find_owned_object(shown, "root").matrix_basis = (
+        Matrix.Translation((5, 0, 0)) @ find_owned_object(shown, "root").matrix_basis
+    )
     export("export_csv", tmp_path / "b.csv")
     assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
 

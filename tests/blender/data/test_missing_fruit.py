@@ -11,8 +11,8 @@ from blender_examples import drawn
 
 from fruitlangs.fruitlangs_addon.panels.step_export import FRUITLANGS_PT_export
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
-from fruitlangs.operators.blender_data import owned_object, owned_objects
-from fruitlangs.operators.data.fruit_objects import REVIEW, read_log, standing
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects
+from fruitlangs.operators.data.fruit_objects import REVIEW, list_counted_fruit, read_log
 from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.stored_review import keep_corrections, review_line
 from fruitlangs.operators.steps.show_result import show_result
@@ -101,7 +101,7 @@ def test_restored_fruit_are_what_they_were(emptied, result):
         np.testing.assert_allclose(new.axes.T @ new.axes, old.axes.T @ old.axes, atol=1e-6)
         np.testing.assert_array_equal(new.color, old.color)
         np.testing.assert_array_equal(new.members, old.members)
-    assert not any(REVIEW in item for item in owned_objects(emptied, "fruit"))
+    assert not any(REVIEW in item for item in find_owned_objects(emptied, "fruit"))
     assert review_line(emptied) == "counted 40, 90 % interval 30–50"
     assert keep_corrections(emptied) == []
 
@@ -119,8 +119,8 @@ def test_rejected_missing_fruit_are_one_decision_and_the_zero_is_a_warning(empti
 
 def test_a_recount_shows_missing_fruit_again_and_says_so(emptied, result):
     show_result(bpy.context, emptied, result)
-    assert len(standing(emptied)) == COUNT
-    assert sorted(item.name for item in standing(emptied))[0] == "apple.001"
+    assert len(list_counted_fruit(emptied)) == COUNT
+    assert sorted(item.name for item in list_counted_fruit(emptied))[0] == "apple.001"
     assert "40 of 40 fruit were deleted or unlinked and are not rejected" in emptied.fruitlangs.result.notices
     assert read_log(emptied) == []
 
@@ -139,7 +139,7 @@ def test_a_tenth_of_the_fruit_may_be_deleted_as_a_decision(shown, deleted, is_qu
 
 def test_hidden_and_excluded_fruit_count(shown):
     bpy.data.collections["Fruits"].hide_viewport = True
-    for item in standing(shown):
+    for item in list_counted_fruit(shown):
         item.hide_viewport = True
     layer = bpy.context.view_layer.layer_collection.children["FruitLangs"]
     layer.children["Fruits"].exclude = layer.children["Trees"].exclude = True
@@ -148,13 +148,13 @@ def test_hidden_and_excluded_fruit_count(shown):
 
 
 def test_a_copy_made_before_the_accident_is_kept(shown):
-    copy = next(each for each in standing(shown) if each["id"] == COUNT).copy()
+    copy = next(each for each in list_counted_fruit(shown) if each["id"] == COUNT).copy()
     shown.collection.objects.link(copy)
     copy.location.x = -5.0
     delete(shown, range(1, COUNT))
     bpy.ops.fruitlangs.restore_fruit()
     assert keep_corrections(shown) == []
-    assert sorted(item["id"] for item in standing(shown)) == list(range(1, COUNT + 2))
+    assert sorted(item["id"] for item in list_counted_fruit(shown)) == list(range(1, COUNT + 2))
     assert [(entry.action, entry.reason) for entry in read_log(shown)] == [("add", "copied")]
 
 
@@ -165,16 +165,16 @@ def test_a_log_that_rejects_most_fruit_is_stated_and_can_be_taken_back(shown, re
     assert "the review rejects 40 of 40 fruit" in shown.fruitlangs.result.notices
     assert "restore_fruit" in drawn(FRUITLANGS_PT_review).buttons
     bpy.ops.fruitlangs.restore_fruit()
-    assert len(standing(shown)) == COUNT
+    assert len(list_counted_fruit(shown)) == COUNT
     show_result(bpy.context, shown, result)
-    assert len(standing(shown)) == COUNT
+    assert len(list_counted_fruit(shown)) == COUNT
     assert "rejects" not in shown.fruitlangs.result.notices
 
 
 def test_decisions_wait_until_missing_fruit_are_answered(shown):
     delete(shown, range(2, COUNT + 1))
-    bpy.context.view_layer.objects.active = standing(shown)[0]
-    standing(shown)[0].select_set(True)
+    bpy.context.view_layer.objects.active = list_counted_fruit(shown)[0]
+    list_counted_fruit(shown)[0].select_set(True)
     with pytest.raises(RuntimeError, match="39 of 40"):
         bpy.ops.fruitlangs.confirm_fruit()
     assert read_log(shown) == []
@@ -186,7 +186,7 @@ def test_without_stored_details_deleted_fruit_are_not_invented(shown):
     delete_collection(shown)
     with pytest.raises(RuntimeError, match="import the result again"):
         bpy.ops.fruitlangs.restore_fruit()
-    assert standing(shown) == []
+    assert list_counted_fruit(shown) == []
 
 
 def test_a_count_of_nothing_is_exported_with_its_reason(extension, counted_with, result_of, tmp_path, capfd):
@@ -197,4 +197,4 @@ def test_a_count_of_nothing_is_exported_with_its_reason(extension, counted_with,
     said = capfd.readouterr().out
     assert "Warning: Wrote 0 fruit to" in said
     assert bpy.context.scene.fruitlangs.result.zero_reason in said
-    assert owned_object(bpy.context.scene, "root") is not None
+    assert find_owned_object(bpy.context.scene, "root") is not None

@@ -17,8 +17,8 @@ from fruitlangs.fruitlangs_addon.panels.step_count import FRUITLANGS_PT_count
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.data.stored_review import keep_corrections, review_line
 from fruitlangs.operators.data.write import write_blend
-from fruitlangs.operators.settings.panel_state import STORED, PanelState, panel_state, stored_panel
-from fruitlangs.operators.settings.settings import is_of_another, relative_path, result_folder, source_folder
+from fruitlangs.operators.settings.panel_state import STORED, PanelState, panel_state, read_stored_panel
+from fruitlangs.operators.settings.settings import is_of_another, make_relative_path, result_folder, source_folder
 
 PARTS = ("scene", "gaussians", "probability", "fruit_count")
 
@@ -39,7 +39,7 @@ def folder(counted_balls, balls, tmp_path):
         set_id=result.set_id,
         threshold=result.config.count.threshold,
         folder=out,
-        panel=panel_state(result, partial(relative_path, folder=out)),
+        panel=panel_state(result, partial(make_relative_path, folder=out)),
     )
     return tmp_path / "before"
 
@@ -128,11 +128,11 @@ def test_a_file_that_is_open_already_follows_when_the_extension_is_enabled(folde
 def test_what_another_version_stored_is_left_alone(registered, text):
     scene = opened(registered)
     scene[STORED] = text
-    assert stored_panel(scene) is None
+    assert read_stored_panel(scene) is None
 
 
 def test_the_state_comes_back_from_its_text(folder):
-    state = stored_panel(opened(folder))
+    state = read_stored_panel(opened(folder))
     assert isinstance(state, PanelState)
     assert (state.chosen, state.source) == ("//.", "//../balls")
     assert state.count.low <= state.count.count <= state.count.high

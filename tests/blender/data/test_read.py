@@ -8,8 +8,8 @@ import pytest
 from mathutils import Matrix
 
 from fruitlangs.engine.errors import CountingError, FormatError, SceneError
-from fruitlangs.operators.blender_data import linear_from_srgb, owned_object, owned_objects, srgb_from_linear
-from fruitlangs.operators.data.read_cameras import active_camera, read_scene
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, linear_from_srgb, srgb_from_linear
+from fruitlangs.operators.data.read_cameras import read_active_camera, read_scene
 from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.read_gaussians import read_gaussians
 from fruitlangs.operators.steps.show_result import show_result, show_scene
@@ -24,7 +24,7 @@ def shown(extension, counted_with, result_of, tmp_path):
 
 
 def fruit(number):
-    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+    return next(item for item in find_owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
 
 
 def test_fruit_come_back_as_they_were_counted(shown):
@@ -101,7 +101,7 @@ def test_gaussians_come_back_with_their_mean_colour(shown):
 
 
 def test_gaussians_that_lost_an_attribute_say_which(shown):
-    mesh = owned_object(bpy.context.scene, "gaussians").data
+    mesh = find_owned_object(bpy.context.scene, "gaussians").data
     mesh.attributes.remove(mesh.attributes["opacity"])
     with pytest.raises(FormatError, match="'opacity'"):
         read_gaussians(bpy.context.scene)
@@ -144,13 +144,13 @@ def test_a_camera_of_the_users_own_sees_what_blender_sees_through_it(shown, fit,
     bpy_scene.camera = own
     bpy_scene.render.resolution_x, bpy_scene.render.resolution_y = size
     bpy_scene.render.pixel_aspect_x, bpy_scene.render.pixel_aspect_y = 1.0, 1.25
-    camera = active_camera(bpy_scene)
+    camera = read_active_camera(bpy_scene)
     bpy_scene.render.resolution_percentage = 50
-    assert active_camera(bpy_scene).width == size[0] // 2
+    assert read_active_camera(bpy_scene).width == size[0] // 2
     clip = own.calc_matrix_camera(
         bpy.context.evaluated_depsgraph_get(), x=size[0], y=size[1], scale_x=1.0, scale_y=1.25
     )
-    point = np.array(owned_object(bpy_scene, "root").matrix_world.inverted() @ Matrix.Translation((0.3, 0.4, 1.0)))
+    point = np.array(find_owned_object(bpy_scene, "root").matrix_world.inverted() @ Matrix.Translation((0.3, 0.4, 1.0)))
     drawn = clip @ own.matrix_world.inverted() @ Matrix.Translation((0.3, 0.4, 1.0)).col[3]
     pixel, depth = camera.project(point[:3, 3])
     assert depth > 0
@@ -161,10 +161,10 @@ def test_a_camera_of_the_users_own_sees_what_blender_sees_through_it(shown, fit,
 def test_a_camera_without_perspective_is_refused_in_words(shown):
     bpy.context.scene.camera.data.type = "ORTHO"
     with pytest.raises(SceneError, match="Perspective"):
-        active_camera(bpy.context.scene)
+        read_active_camera(bpy.context.scene)
 
 
 def test_a_scene_without_an_active_camera_says_so(shown):
     bpy.context.scene.camera = None
     with pytest.raises(SceneError, match="no active camera"):
-        active_camera(bpy.context.scene)
+        read_active_camera(bpy.context.scene)

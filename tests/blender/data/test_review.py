@@ -15,8 +15,15 @@ from fruitlangs.engine.counting.fruit import KIND_TEXTS
 from fruitlangs.engine.errors import SceneError
 from fruitlangs.fruitlangs_addon.panels.fruit_list import KIND_ICONS, cells, head, is_shown, ranks, sign_of
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
-from fruitlangs.operators.blender_data import get_attribute, owned_object, owned_objects
-from fruitlangs.operators.data.fruit_objects import REVIEW, fruit_collection, members, read_log, spot_of, standing
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute
+from fruitlangs.operators.data.fruit_objects import (
+    REVIEW,
+    fruit_collection,
+    list_counted_fruit,
+    members,
+    read_log,
+    spot_of,
+)
 from fruitlangs.operators.data.read_fruits import read_fruits
 from fruitlangs.operators.data.stored_review import entry_text, keep_corrections, review_line
 from fruitlangs.operators.scene_frame import scene_frame
@@ -52,7 +59,7 @@ def again(counted, result_of, tmp_path):
 
 
 def fruit(number: int) -> bpy.types.Object:
-    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+    return next(item for item in find_owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
 
 
 def select(*numbers: int) -> None:
@@ -64,7 +71,7 @@ def select(*numbers: int) -> None:
 
 
 def numbers() -> list[int]:
-    return sorted(item["id"] for item in standing(bpy.context.scene))
+    return sorted(item["id"] for item in list_counted_fruit(bpy.context.scene))
 
 
 def test_the_line_gives_the_machines_count_before_anything_was_reviewed(shown):
@@ -103,7 +110,7 @@ def test_merged_fruit_are_one_with_a_new_number_and_their_gaussians(shown):
     assert fruit(4)["label"] == "apple"
     assert fruit(4)[REVIEW] == "added"
     assert bpy.context.selected_objects == [fruit(4)]
-    ids = get_attribute(owned_object(shown, "gaussians").data, "fruit_id")
+    ids = get_attribute(find_owned_object(shown, "gaussians").data, "fruit_id")
     assert ids[:6].tolist() == [1, 1, 4, 4, 4, 4]
 
 
@@ -133,7 +140,7 @@ def test_a_copy_of_a_fruit_is_split_where_it_is_and_takes_no_gaussians(shown):
         each.select_set(each == copy)
     bpy.context.view_layer.objects.active = copy
     assert bpy.ops.fruitlangs.split_fruit(parts=2) == {"FINISHED"}
-    made = [each for each in standing(shown) if each.get(REVIEW) == "added"]
+    made = [each for each in list_counted_fruit(shown) if each.get(REVIEW) == "added"]
     assert {round(each.location.z, 3) for each in made} == {round(item.location.z + 5.0, 3)}
     assert set(members(shown, item)[0]) == own
 
@@ -149,7 +156,7 @@ def test_an_added_fruit_is_as_large_as_the_others_where_it_was_put(shown):
 
 def test_an_added_fruit_stays_one_when_it_was_rejected_and_reopened(shown):
     frame = scene_frame(shown)
-    counted = [spot_of(item, frame) for item in owned_objects(shown, "fruit")]
+    counted = [spot_of(item, frame) for item in find_owned_objects(shown, "fruit")]
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
     before = review_line(shown)
     bpy.ops.fruitlangs.reject_fruit()
@@ -157,7 +164,7 @@ def test_an_added_fruit_stays_one_when_it_was_rejected_and_reopened(shown):
     bpy.ops.fruitlangs.reopen_fruit()
     assert review_line(shown) == before
     assert not fruit(4).hide_viewport
-    assert [item.get(REVIEW, "") for item in owned_objects(shown, "fruit")] == ["", "", "", "added"]
+    assert [item.get(REVIEW, "") for item in find_owned_objects(shown, "fruit")] == ["", "", "", "added"]
     assert replay(read_log(shown), counted).standings == ["", "", "", "added"]
     fruit(4).location.x = 9.0
     keep_corrections(shown)
@@ -259,7 +266,7 @@ def test_what_cannot_be_done_is_reported_and_changes_nothing(shown, monkeypatch)
 
 def test_without_the_scenes_root_nothing_is_decided_and_an_export_says_what_is_gone(shown):
     select(1)
-    bpy.data.objects.remove(owned_object(shown, "root"))
+    bpy.data.objects.remove(find_owned_object(shown, "root"))
     for name in ("confirm_fruit", "reject_fruit", "add_fruit", "reopen_fruit"):
         assert not getattr(bpy.ops.fruitlangs, name).poll()
     with pytest.raises(SceneError, match="root empty was deleted"):
@@ -286,7 +293,7 @@ def test_fruit_whose_collection_was_deleted_are_listed_where_they_are(shown):
     assert len(bpy.data.collections) == before
     select(2)
     assert shown.collection.objects[shown.fruitlangs.review.active_fruit] == fruit(2)
-    assert not is_shown(owned_object(shown, "root"), "ALL", 0.5, "")
+    assert not is_shown(find_owned_object(shown, "root"), "ALL", 0.5, "")
     assert is_shown(fruit(2), "ALL", 0.5, "")
 
 
@@ -297,7 +304,7 @@ def test_fruit_of_a_linked_file_are_nobodys_here(shown, tmp_path):
         wanted.collections = ["FruitLangs"]
     bpy.context.scene.collection.children.link(bpy.data.collections["FruitLangs"])
     assert "apple.001" in bpy.context.scene.objects
-    assert owned_objects(bpy.context.scene, "fruit") == []
+    assert find_owned_objects(bpy.context.scene, "fruit") == []
     assert fruit_collection(bpy.context.scene) is None
     assert not bpy.ops.fruitlangs.next_uncertain.poll()
 
@@ -369,7 +376,7 @@ def test_next_uncertain_frames_the_fruit_at_the_size_that_the_user_scaled_it_to(
     monkeypatch.setattr(
         "fruitlangs.operators.review.review.look_at_point", lambda _, place, distance: shots.append((place, distance))
     )
-    root = owned_object(shown, "root")
+    root = find_owned_object(shown, "root")
     root.scale = [scale * side for side in root.scale]
     root.location = (7.0, 8.0, 9.0)
     bpy.context.view_layer.update()
@@ -406,7 +413,7 @@ def test_the_list_and_the_viewport_select_each_other(shown):
     assert bpy.context.selected_objects == [collection.objects[2]]
     select(1)
     assert collection.objects[review.active_fruit] == fruit(1)
-    bpy.context.view_layer.objects.active = owned_object(shown, "root")
+    bpy.context.view_layer.objects.active = find_owned_object(shown, "root")
     assert review.active_fruit == -1
 
 
@@ -416,9 +423,9 @@ def test_a_recount_keeps_every_decision(shown, again, counted):
     select(2)
     bpy.ops.fruitlangs.split_fruit(parts=2)
     bpy.ops.fruitlangs.add_fruit(center=(5.0, 6.0, 7.0))
-    before = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in owned_objects(shown, "fruit")}
+    before = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in find_owned_objects(shown, "fruit")}
     again()
-    after = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in owned_objects(shown, "fruit")}
+    after = {item["id"]: (tuple(item.location), item.get(REVIEW)) for item in find_owned_objects(shown, "fruit")}
     assert after == before
     assert numbers() == [3, 4, 5, 6]
 
@@ -461,18 +468,18 @@ def test_after_a_recount_made_fruit_still_have_their_gaussians(shown, again):
     select(2, 3)
     bpy.ops.fruitlangs.merge_fruit()
     again()
-    assert get_attribute(owned_object(shown, "gaussians").data, "fruit_id")[:6].tolist() == [1, 1, 4, 4, 4, 4]
+    assert get_attribute(find_owned_object(shown, "gaussians").data, "fruit_id")[:6].tolist() == [1, 1, 4, 4, 4, 4]
     select(4)
     bpy.ops.fruitlangs.split_fruit(parts=2)
     again()
-    assert set(get_attribute(owned_object(shown, "gaussians").data, "fruit_id")[2:6]) <= {5, 6}
+    assert set(get_attribute(find_owned_object(shown, "gaussians").data, "fruit_id")[2:6]) <= {5, 6}
 
 
 def test_a_recount_that_renumbers_keeps_decisions_by_place(shown, again, counted):
     select(1)
     bpy.ops.fruitlangs.reject_fruit()
     again([dataclasses.replace(each, id=each.id + 10) for each in counted.fruit_count.fruits])
-    assert [item["id"] for item in owned_objects(shown, "fruit") if item.get(REVIEW) == "rejected"] == [11]
+    assert [item["id"] for item in find_owned_objects(shown, "fruit") if item.get(REVIEW) == "rejected"] == [11]
 
 
 def test_a_decision_about_a_fruit_that_is_gone_is_reported_and_stays_in_the_log(shown, again, counted):
@@ -622,7 +629,8 @@ def test_every_decision_is_taken_back_by_undo_and_made_again_by_redo(shown, oper
     def told():
         scene = bpy.context.scene
         items = {
-            item.name: (item["label"], item.get(REVIEW), item.hide_viewport) for item in owned_objects(scene, "fruit")
+            item.name: (item["label"], item.get(REVIEW), item.hide_viewport)
+            for item in find_owned_objects(scene, "fruit")
         }
         return items, len(scene.fruitlangs.review.log)
 
@@ -681,7 +689,7 @@ def test_reviews_of_two_scenes_in_one_file_are_apart(shown, counted, result_of, 
     show_result(bpy.context, other, result_of(counted, tmp_path))
     select(2)
     bpy.ops.fruitlangs.reject_fruit()
-    assert (len(standing(shown)), len(standing(other))) == (2, 3)
+    assert (len(list_counted_fruit(shown)), len(list_counted_fruit(other))) == (2, 3)
     assert len(read_log(other)) == 0
 
 
@@ -698,7 +706,7 @@ def test_an_old_merge_of_fruit_far_apart_is_stated_and_not_made(shown, again):
     from fruitlangs.engine.counting.accounts.review import Decision, Spot
     from fruitlangs.operators.data.fruit_objects import write_log
 
-    one, two, _ = (spot_of(item, scene_frame(shown)) for item in owned_objects(shown, "fruit"))
+    one, two, _ = (spot_of(item, scene_frame(shown)) for item in find_owned_objects(shown, "fruit"))
     far = dataclasses.replace(two, center=two.center + 9.0)
     write_log(shown, Decision("merge", "2026-05-01", "", (one, far), (Spot(9, "apple", two.center, np.eye(3)),)))
     again()

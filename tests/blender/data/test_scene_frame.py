@@ -8,7 +8,7 @@ import pytest
 from mathutils import Matrix, Vector
 
 from fruitlangs.engine.errors import CountingError, SceneError
-from fruitlangs.operators.blender_data import owned_object, owned_objects, point_positions
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, point_positions
 from fruitlangs.operators.data.fruit_objects import read_log
 from fruitlangs.operators.data.read_cameras import read_cameras, read_up
 from fruitlangs.operators.data.read_fruits import read_fruits
@@ -28,7 +28,7 @@ def shown(extension, counted_with, result_of, tmp_path):
 
 
 def fruit(number: int) -> bpy.types.Object:
-    return next(item for item in owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
+    return next(item for item in find_owned_objects(bpy.context.scene, "fruit") if item["id"] == number)
 
 
 def select(*items: bpy.types.Object) -> None:
@@ -39,11 +39,11 @@ def select(*items: bpy.types.Object) -> None:
 
 def ours(scene) -> list[bpy.types.Object]:
     """Everything below the root."""
-    return [item for role in ("gaussians", "camera", "fruit") for item in owned_objects(scene, role)]
+    return [item for role in ("gaussians", "camera", "fruit") for item in find_owned_objects(scene, role)]
 
 
 def apply_to_root(scene, **options: bool) -> None:
-    select(owned_object(scene, "root"))
+    select(find_owned_object(scene, "root"))
     assert bpy.ops.object.transform_apply(**options) == {"FINISHED"}
 
 
@@ -54,7 +54,7 @@ def apply_to_fruit(scene, *numbers: int) -> None:
 
 
 def apply_to_all(scene) -> None:
-    select(owned_object(scene, "root"), *ours(scene))
+    select(find_owned_object(scene, "root"), *ours(scene))
     bpy.ops.object.make_single_user(object=True, obdata=True)
     assert bpy.ops.object.transform_apply() == {"FINISHED"}
 
@@ -66,7 +66,7 @@ def clear_parents(scene) -> None:
 
 def parent_again(scene) -> None:
     clear_parents(scene)
-    root = owned_object(scene, "root")
+    root = find_owned_object(scene, "root")
     root.select_set(True)
     bpy.context.view_layer.objects.active = root
     bpy.ops.object.parent_set(type="OBJECT")
@@ -74,14 +74,14 @@ def parent_again(scene) -> None:
 
 def apply_parent_inverse(scene) -> None:
     apply_to_root(scene)
-    root = owned_object(scene, "root")
+    root = find_owned_object(scene, "root")
     root.location.x = 2.0
     select(*ours(scene))
     bpy.ops.object.parent_inverse_apply()
 
 
 def turn_and_apply_twice(scene) -> None:
-    root = owned_object(scene, "root")
+    root = find_owned_object(scene, "root")
     for angle in (0.4, -1.1):
         root.matrix_basis = Matrix.Rotation(angle, 4, "X") @ Matrix.Scale(3.0, 4) @ root.matrix_basis
         apply_to_root(scene)
@@ -92,7 +92,7 @@ NO_CHANGES = {
     "apply the scale of the root": lambda scene: apply_to_root(scene, location=False, rotation=False),
     "apply the rotation of the root": lambda scene: apply_to_root(scene, location=False, scale=False),
     "move the root's transform to deltas": lambda scene: (
-        select(owned_object(scene, "root")),
+        select(find_owned_object(scene, "root")),
         bpy.ops.object.transforms_to_deltas(mode="ALL"),
     ),
     "apply to one fruit": lambda scene: apply_to_fruit(scene, 2),
@@ -102,9 +102,11 @@ NO_CHANGES = {
     "clear all parents and parent again": parent_again,
     "apply the parents' inverse": apply_parent_inverse,
     "turn and scale the root, and apply": turn_and_apply_twice,
-    "mirror the root": lambda scene: setattr(owned_object(scene, "root"), "scale", (-0.25, 0.25, 0.25)),
-    "stretch the root": lambda scene: setattr(owned_object(scene, "root"), "scale", (0.25, 0.25, 0.75)),
-    "scale the root a hundredfold": lambda scene: setattr(owned_object(scene, "root"), "scale", (25.0, 25.0, 25.0)),
+    "mirror the root": lambda scene: setattr(find_owned_object(scene, "root"), "scale", (-0.25, 0.25, 0.25)),
+    "stretch the root": lambda scene: setattr(find_owned_object(scene, "root"), "scale", (0.25, 0.25, 0.75)),
+    "scale the root a hundredfold": lambda scene: setattr(
+        find_owned_object(scene, "root"), "scale", (25.0, 25.0, 25.0)
+    ),
 }
 
 
@@ -189,7 +191,7 @@ def test_a_part_stands_where_its_fruit_did_in_the_world(shown):
 @pytest.mark.parametrize("disturb", [apply_to_root, lambda scene: apply_to_fruit(scene, 2), apply_to_all])
 def test_edits_by_the_user_count_after_apply_too(shown, disturb):
     disturb(shown)
-    root = owned_object(shown, "root")
+    root = find_owned_object(shown, "root")
     item = fruit(2)
     bpy.context.view_layer.update()
     world = item.matrix_world.copy()
@@ -205,8 +207,8 @@ def test_edits_by_the_user_count_after_apply_too(shown, disturb):
 
 
 def test_one_camera_and_the_gaussians_may_be_moved(shown, counted_with):
-    owned_object(shown, "gaussians").location.x = 5.0
-    owned_objects(shown, "camera")[0].location.x += 1.0
+    find_owned_object(shown, "gaussians").location.x = 5.0
+    find_owned_objects(shown, "camera")[0].location.x += 1.0
     np.testing.assert_allclose(measures(shown), expected(counted_with), rtol=1e-5, atol=1e-6)
 
 
@@ -236,11 +238,11 @@ def test_up_length_and_ground_hold_after_the_root_was_applied(shown, counted_wit
 
 def test_an_import_after_apply_puts_everything_below_the_root_again(shown, counted_with, result_of, tmp_path):
     bpy.ops.fruitlangs.add_region()
-    box = scene_frame(shown).of(owned_object(shown, "region"))
+    box = scene_frame(shown).of(find_owned_object(shown, "region"))
     apply_to_root(shown)
     show_result(bpy.context, shown, result_of(counted_with(metres_per_unit=0.25), tmp_path))
     np.testing.assert_allclose(measures(shown), expected(counted_with), rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(scene_frame(shown).of(owned_object(shown, "region")), box, atol=1e-4)
+    np.testing.assert_allclose(scene_frame(shown).of(find_owned_object(shown, "region")), box, atol=1e-4)
     assert scene_frame(shown).in_root == Matrix()
 
 
@@ -254,14 +256,14 @@ def test_fruit_that_stay_when_the_cameras_are_read_again_stay_in_place(shown, co
 
 
 def test_a_root_scaled_to_zero_and_applied_is_refused(shown):
-    owned_object(shown, "root").scale = (0.0, 0.0, 0.0)
+    find_owned_object(shown, "root").scale = (0.0, 0.0, 0.0)
     apply_to_root(shown)
     with pytest.raises(SceneError, match=REMEDY):
         read_fruits(shown)
 
 
 def test_up_of_a_root_scaled_to_zero_is_that_of_the_scene(shown, counted_with):
-    owned_object(shown, "root").scale = (0.0, 0.0, 0.0)
+    find_owned_object(shown, "root").scale = (0.0, 0.0, 0.0)
     np.testing.assert_allclose(read_up(shown), counted_with().scene.up, atol=1e-6)
 
 
@@ -273,17 +275,17 @@ def test_fruit_moved_together_away_from_the_cameras_are_refused(shown):
 
 
 def test_fruit_taken_out_of_the_root_that_then_moves_are_refused(shown):
-    select(*owned_objects(shown, "fruit"))
+    select(*find_owned_objects(shown, "fruit"))
     bpy.ops.object.parent_clear(type="CLEAR_KEEP_TRANSFORM")
-    owned_object(shown, "root").scale *= 4.0
+    find_owned_object(shown, "root").scale *= 4.0
     with pytest.raises(RuntimeError, match=REMEDY):
         bpy.ops.fruitlangs.export_csv(filepath="/nowhere/a.csv")
 
 
 def test_cameras_that_were_all_moved_apart_are_refused(shown):
-    for step, camera in enumerate(owned_objects(shown, "camera")):
+    for step, camera in enumerate(find_owned_objects(shown, "camera")):
         camera.location.x += 1.0 + step
-    owned_object(shown, "gaussians").location.x = 3.0
+    find_owned_object(shown, "gaussians").location.x = 3.0
     with pytest.raises(SceneError, match="do not fit together"):
         scene_frame(shown)
 
@@ -320,7 +322,7 @@ def test_a_mesh_that_is_no_ellipsoid_is_refused_by_its_name(shown):
 
 
 def test_without_cameras_and_gaussians_the_fruit_say_where_the_scene_is(shown, counted_with):
-    bpy.data.batch_remove([owned_object(shown, "gaussians"), *owned_objects(shown, "camera")])
+    bpy.data.batch_remove([find_owned_object(shown, "gaussians"), *find_owned_objects(shown, "camera")])
     apply_to_root(shown)
     np.testing.assert_allclose(measures(shown), expected(counted_with), rtol=1e-5, atol=1e-6)
 
@@ -350,7 +352,7 @@ def test_gaussians_that_were_applied_are_refused_where_their_places_count(shown,
 
 
 def test_gaussians_of_which_some_were_deleted_keep_their_places(shown):
-    item = owned_object(shown, "gaussians")
+    item = find_owned_object(shown, "gaussians")
     places = point_positions(item)
     select(item)
     item.data.vertices.foreach_set("select", np.arange(20) < 7)
@@ -364,7 +366,7 @@ def test_gaussians_of_which_some_were_deleted_keep_their_places(shown):
 
 
 def test_gaussians_that_were_shrunk_within_their_mesh_are_refused(shown):
-    item = owned_object(shown, "gaussians")
+    item = find_owned_object(shown, "gaussians")
     middle = Vector(point_positions(item).mean(axis=0).tolist())
     item.data.transform(Matrix.Translation(middle) @ Matrix.Scale(0.5, 4) @ Matrix.Translation(-middle))
     with pytest.raises(SceneError, match=REMEDY):

@@ -12,12 +12,12 @@ import pytest
 from mathutils import Vector
 
 from fruitlangs.engine.counting.fruit import AuditEntry
-from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects
 from fruitlangs.operators.data.fruit_objects import ADDED, judge
 from fruitlangs.operators.data.read_fruits import read_fruits
-from fruitlangs.operators.data.stored_audit import AUDIT, about_fruit, read_audit
+from fruitlangs.operators.data.stored_audit import AUDIT, read_audit, select_about_fruit
 from fruitlangs.operators.data.write import write_blend
-from fruitlangs.operators.review.show_cluster import cluster_center
+from fruitlangs.operators.review.show_cluster import find_cluster_center
 from fruitlangs.operators.steps.show_result import show_result
 from fruitlangs.operators.steps.shown_source import forget_count
 
@@ -82,7 +82,7 @@ def drawn() -> Layout:
 
 
 def activate(number: int) -> bpy.types.Object:
-    item = next(each for each in owned_objects(bpy.context.scene, "fruit") if each["id"] == number)
+    item = next(each for each in find_owned_objects(bpy.context.scene, "fruit") if each["id"] == number)
     bpy.context.view_layer.objects.active = item
     return item
 
@@ -105,7 +105,7 @@ def test_a_blend_of_the_command_line_holds_the_audit_without_the_extension(count
 
 
 def test_a_fruits_own_cluster_is_reported_before_those_merged_into_it(shown):
-    assert about_fruit(read_audit(bpy.context.scene), 2) == [KEPT, BESIDE]
+    assert select_about_fruit(read_audit(bpy.context.scene), 2) == [KEPT, BESIDE]
 
 
 def test_the_panel_shows_why_the_active_fruit_was_counted_in_millimetres(shown):
@@ -155,7 +155,7 @@ def test_the_look_goes_to_the_clusters_place_in_the_world(shown, monkeypatch):
         lambda screens, place, distance: places.append((place, distance)),
     )
     assert bpy.ops.fruitlangs.look_at_cluster(cluster=FLAT.cluster) == {"FINISHED"}
-    root = owned_object(bpy.context.scene, "root")
+    root = find_owned_object(bpy.context.scene, "root")
     np.testing.assert_allclose(places[0][0], root.matrix_world @ Vector(FLAT.center), atol=1e-6)
     assert places[0][1] == pytest.approx(8.0 * 0.4)  # the median fruit is 0.2 units long, a unit is 2 m
 
@@ -166,7 +166,7 @@ def test_a_cluster_is_framed_at_the_size_that_the_user_scaled_the_tree_to(shown,
         "fruitlangs.operators.review.show_cluster.look_at_point",
         lambda screens, place, distance: distances.append(distance),
     )
-    owned_object(bpy.context.scene, "root").scale *= 100.0
+    find_owned_object(bpy.context.scene, "root").scale *= 100.0
     bpy.context.view_layer.update()
     bpy.ops.fruitlangs.look_at_cluster(cluster=FLAT.cluster)
     assert distances == [pytest.approx(8.0 * 0.4 * 100.0)]
@@ -175,9 +175,9 @@ def test_a_cluster_is_framed_at_the_size_that_the_user_scaled_the_tree_to(shown,
 @pytest.mark.parametrize("cluster", [DUST.cluster, 77])
 def test_a_cluster_without_a_place_is_not_looked_at(shown, cluster):
     assert bpy.ops.fruitlangs.look_at_cluster(cluster=cluster) == {"CANCELLED"}
-    assert cluster_center(bpy.context.scene, cluster) is None
+    assert find_cluster_center(bpy.context.scene, cluster) is None
 
 
 def test_a_look_wants_the_scenes_root(shown):
-    bpy.data.objects.remove(owned_object(bpy.context.scene, "root"))
+    bpy.data.objects.remove(find_owned_object(bpy.context.scene, "root"))
     assert not bpy.ops.fruitlangs.look_at_cluster.poll()

@@ -14,13 +14,13 @@ from bpy_extras.object_utils import world_to_camera_view
 from fruitlangs.engine.errors import OutputError
 from fruitlangs.engine.language.vocabulary import FRUITS
 from fruitlangs.engine.scene.camera import Camera, Scene, look_along
-from fruitlangs.operators.blender_data import get_attribute, owned_objects
+from fruitlangs.operators.blender_data import find_owned_objects, get_attribute
 from fruitlangs.operators.data.photo_files import photo_path
 from fruitlangs.operators.data.write import save_blend, write_blend, write_result
-from fruitlangs.operators.data.write_cameras import middle_view
-from fruitlangs.operators.data.write_gaussians import ASKED, asked_words
+from fruitlangs.operators.data.write_cameras import find_middle_view
+from fruitlangs.operators.data.write_gaussians import ASKED, join_asked_words
 from fruitlangs.operators.data.write_points import write_points
-from fruitlangs.operators.data.write_root import looked_at, write_root
+from fruitlangs.operators.data.write_root import find_focus, write_root
 from fruitlangs.operators.viewport.fruit_colours import LABEL_HUES
 
 PARTS = ("scene", "gaussians", "probability", "fruit_count")
@@ -146,7 +146,7 @@ def test_up_becomes_plus_z_and_distances_stay(counted):
 
 
 def test_the_point_all_cameras_look_at_stands_over_the_origin(counted):
-    np.testing.assert_allclose(looked_at(counted.scene), [1, 2, 3], atol=1e-9)
+    np.testing.assert_allclose(find_focus(counted.scene), [1, 2, 3], atol=1e-9)
     root = written(counted)
     world = np.array(root.matrix_world)
     middle = world[:3, :3] @ [1, 2, 3] + world[:3, 3]
@@ -210,10 +210,10 @@ def test_a_row_is_first_shown_from_its_middle_and_a_walk_around_a_tree_from_its_
 
     there = [float(x) for x in range(11)]
     row = [camera([x, -2.0, 1.0], [0.0, 1.0, 0.0]) for x in there + there[::-1]]
-    assert middle_view(scene(row, [[x, 0.0, 1.0] for x in there])) in (5, 16)  # number 11 shows an end
+    assert find_middle_view(scene(row, [[x, 0.0, 1.0] for x in there])) in (5, 16)  # number 11 shows an end
     turns = [2.0 * np.pi * k / 12 for k in range(12)]
     ring = [camera([np.cos(a), np.sin(a), 0.0], [-np.cos(a), -np.sin(a), 0.0]) for a in turns]
-    assert middle_view(scene(ring, [[0.0, 0.0, 0.0]])) == 6
+    assert find_middle_view(scene(ring, [[0.0, 0.0, 0.0]])) == 6
 
 
 def test_cameras_without_photos_are_written_too(counted):
@@ -267,7 +267,7 @@ def test_sparse_points_carry_their_linear_colour(counted):
 
 def test_a_saved_result_reloads_equal(counted, tmp_path):
     path = tmp_path / "scene.blend"
-    write_blend(path, *counted.parts(), asked=asked_words(["apple", "plum"], ["leaf"]), set_id="abc")
+    write_blend(path, *counted.parts(), asked=join_asked_words(["apple", "plum"], ["leaf"]), set_id="abc")
     assert [file.name for file in tmp_path.iterdir()] == ["scene.blend"]
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(path))
@@ -287,7 +287,7 @@ def test_a_saved_result_names_its_photos_relative_to_where_it_will_be(counted_ba
     out.mkdir(exist_ok=True)
     shutil.move(path, out / "scene.blend")
     bpy.ops.wm.open_mainfile(filepath=str(out / "scene.blend"))
-    item = owned_objects(bpy.context.scene, "camera")[0]
+    item = find_owned_objects(bpy.context.scene, "camera")[0]
     assert item["photo_file"].startswith("//../balls/images/")
     assert photo_path(item).parent == balls / "images"
 

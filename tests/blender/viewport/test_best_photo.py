@@ -20,14 +20,14 @@ from pillow_heif import register_heif_opener
 
 from fruitlangs.engine.scene.camera import Camera, look_along
 from fruitlangs.engine.scene.read import read_scene
-from fruitlangs.operators.blender_data import owned_object, owned_objects
+from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects
 from fruitlangs.operators.data import photo_files
 from fruitlangs.operators.data.photo_files import FILE, photo_path
 from fruitlangs.operators.data.read_cameras import read_camera
 from fruitlangs.operators.photos import photo_backgrounds
-from fruitlangs.operators.photos.best_photo import fruit_sights
+from fruitlangs.operators.photos.best_photo import find_fruit_views
 from fruitlangs.operators.photos.photo_backgrounds import PROBLEM, background_of, is_awaited, photo_cover, show_photo
-from fruitlangs.operators.photos.photo_choice import MOST, Surface, _outline, best_sights
+from fruitlangs.operators.photos.photo_choice import MOST, Surface, _compute_outline, find_best_views
 from fruitlangs.operators.scene_frame import scene_frame
 from fruitlangs.operators.steps.show_result import show_result, show_scene
 
@@ -58,7 +58,7 @@ def wall(center, half: float) -> Surface:
 
 
 def chosen(cameras, surface=None, center=(0.0, 0.0, 0.0)) -> list[int]:
-    return [sight.index for sight in best_sights(cameras, np.array(center), BALL, surface)]
+    return [sight.index for sight in find_best_views(cameras, np.array(center), BALL, surface)]
 
 
 def test_the_nearest_photo_is_the_best_and_those_that_look_elsewhere_see_nothing():
@@ -70,7 +70,7 @@ def test_a_nearer_photo_behind_leaves_comes_last_or_not_at_all():
     cameras = [camera_at((2, 0, 0)), camera_at((0, 3, 0))]
     assert chosen(cameras, wall((1.0, 0.0, 0.0), 0.2)) == [1]
     # A wall that covers a half leaves half of the disc.
-    half = best_sights(cameras, np.zeros(3), BALL, wall((1.0, 0.22, 0.0), 0.2))
+    half = find_best_views(cameras, np.zeros(3), BALL, wall((1.0, 0.22, 0.0), 0.2))
     shares = {sight.index: sight.share for sight in half}
     assert shares[1] == 1.0
     assert 0.2 < shares[0] < 0.8
@@ -84,14 +84,14 @@ def test_what_is_behind_the_fruit_and_its_own_surface_hide_nothing():
 
 def test_a_fruit_that_the_frame_cuts_is_worth_its_part():
     place = camera_at((2, 0, 0)).unproject(np.full((150, 200), 2.0))[75, 199]  # a pixel at the frame's edge
-    sights = best_sights([camera_at((2, 0, 0))], place, BALL, None)
+    sights = find_best_views([camera_at((2, 0, 0))], place, BALL, None)
     assert 0.3 < sights[0].share < 0.8
 
 
 def test_a_nearer_photo_that_cuts_the_fruit_comes_after_all_that_show_it_whole():
     # The near photo has the fruit four times as large, with its outline just over the left edge, the far one whole.
     near, far = camera_at((1, 0, 0), (0, -0.42, 0)), camera_at((4, 0, 0))
-    sights = best_sights([near, far], np.zeros(3), BALL, None)
+    sights = find_best_views([near, far], np.zeros(3), BALL, None)
     assert [sight.index for sight in sights] == [1, 0]
     assert [sight.whole for sight in sights] == [True, False]
     assert sights[1].share == 1.0  # every tested point of the disc is inside: only the outline tells
@@ -101,13 +101,13 @@ def test_a_nearer_photo_that_cuts_the_fruit_comes_after_all_that_show_it_whole()
 def test_the_end_of_a_long_fruit_that_the_frame_cuts_is_noticed():
     camera = camera_at((2, 0, 0), (0, 0, -0.6))
     long = np.diag([RADIUS, RADIUS, 2.0 * RADIUS])
-    assert best_sights([camera], np.zeros(3), BALL, None)[0].whole
-    assert not best_sights([camera], np.zeros(3), long, None)[0].whole
+    assert find_best_views([camera], np.zeros(3), BALL, None)[0].whole
+    assert not find_best_views([camera], np.zeros(3), long, None)[0].whole
 
 
 def test_the_outline_is_where_rays_touch_the_ellipsoid():
     camera, axes = camera_at((2, 1, 0.5)), np.array([[0.0, 0.3, 0.1], [0.2, 0.0, 0.0], [0.0, -0.05, 0.15]])
-    for point in _outline(camera, np.zeros(3), axes):
+    for point in _compute_outline(camera, np.zeros(3), axes):
         unit = np.linalg.solve(axes.T, point)
         assert np.linalg.norm(unit) == pytest.approx(1.0)
         assert unit @ np.linalg.solve(axes.T, point - camera.center) == pytest.approx(0.0, abs=1e-9)
@@ -120,7 +120,7 @@ def test_of_equal_views_the_central_one_is_better_and_of_two_distances_the_near_
 
 def test_an_open_view_is_better_than_one_twice_as_large_that_is_mostly_hidden():
     near, far = camera_at((2, 0, 0)), camera_at((0, 4, 0))
-    sights = best_sights([near, far], np.zeros(3), BALL, wall((1.0, 0.19, 0.0), 0.2))
+    sights = find_best_views([near, far], np.zeros(3), BALL, wall((1.0, 0.19, 0.0), 0.2))
     assert [sight.index for sight in sights] == [1, 0]
     assert sights[1].share * sights[1].pixels ** 2 > sights[0].share * sights[0].pixels ** 2
 
@@ -131,7 +131,7 @@ def test_a_fruit_is_searched_in_every_photo_until_one_shows_it():
 
 
 def test_how_wide_a_fruit_is_in_a_photo_is_reported_in_its_pixels():
-    assert best_sights([camera_at((2, 0, 0))], np.zeros(3), BALL, None)[0].pixels == pytest.approx(20.0)
+    assert find_best_views([camera_at((2, 0, 0))], np.zeros(3), BALL, None)[0].pixels == pytest.approx(20.0)
 
 
 @pytest.fixture
@@ -139,13 +139,13 @@ def shown(extension, counted_balls):
     """The balls' count shown in an empty file; the first fruit is active."""
     show_result(bpy.context, bpy.context.scene, counted_balls)
     bpy.context.view_layer.update()
-    bpy.context.view_layer.objects.active = owned_objects(bpy.context.scene, "fruit")[0]
+    bpy.context.view_layer.objects.active = find_owned_objects(bpy.context.scene, "fruit")[0]
     return bpy.context.scene
 
 
 def test_cameras_read_back_are_those_that_were_written(shown, counted_balls):
     frame = scene_frame(shown)
-    for item, camera in zip(owned_objects(shown, "camera"), counted_balls.scene.cameras, strict=True):
+    for item, camera in zip(find_owned_objects(shown, "camera"), counted_balls.scene.cameras, strict=True):
         found = read_camera(item, frame)
         np.testing.assert_allclose(found.K, camera.K, atol=1e-3)
         np.testing.assert_allclose(found.world_to_camera, camera.world_to_camera, atol=1e-5)
@@ -153,14 +153,14 @@ def test_cameras_read_back_are_those_that_were_written(shown, counted_balls):
 
 def test_uneven_pixels_and_shifts_are_read_back(extension, counted, result_of, tmp_path):
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
-    item = owned_objects(bpy.context.scene, "camera")[3]
+    item = find_owned_objects(bpy.context.scene, "camera")[3]
     found = read_camera(item, scene_frame(bpy.context.scene))
     np.testing.assert_allclose(found.K, counted.scene.cameras[3].K, atol=1e-3)
 
 
 def test_the_chosen_photos_show_the_fruit_unhidden_in_the_truth(shown, counted_balls):
-    for item in owned_objects(shown, "fruit"):
-        camera, sight = fruit_sights(shown, item)[0]
+    for item in find_owned_objects(shown, "fruit"):
+        camera, sight = find_fruit_views(shown, item)[0]
         _, ids, _ = ball_scene.look(counted_balls.scene.cameras[int(camera.name)].world_to_camera)
         center = np.array(item.location)
         number = 1 + int(np.argmin(np.linalg.norm(ball_scene.BALLS - center, axis=1)))
@@ -177,7 +177,7 @@ def test_an_import_loads_no_photo_and_looking_loads_only_one(shown):
     assert len(bpy.data.images) == 1
     assert bpy.ops.fruitlangs.next_photo() == {"FINISHED"}
     assert shown.camera != first
-    backed = [item for item in owned_objects(shown, "camera") if background_of(item) is not None]
+    backed = [item for item in find_owned_objects(shown, "camera") if background_of(item) is not None]
     assert backed == [shown.camera]
     assert shown.camera.data.show_background_images
     assert len(bpy.data.images) == 1
@@ -193,7 +193,7 @@ def test_a_photo_that_cuts_the_fruit_says_so(shown, capfd):
 
 def test_previous_goes_back_and_the_round_closes(shown):
     bpy.ops.fruitlangs.best_photo()
-    first, count = shown.camera, len(fruit_sights(shown, bpy.context.view_layer.objects.active))
+    first, count = shown.camera, len(find_fruit_views(shown, bpy.context.view_layer.objects.active))
     assert count > 2
     bpy.ops.fruitlangs.next_photo()
     bpy.ops.fruitlangs.next_photo(step=-1)
@@ -224,11 +224,11 @@ def test_the_free_view_keeps_the_scenes_camera_where_the_one_before_was_deleted(
     bpy.data.objects.remove(shown.fruitlangs.photos.camera)
     assert shown.fruitlangs.photos.camera is None
     assert bpy.ops.fruitlangs.free_view() == {"FINISHED"}
-    assert shown.camera in owned_objects(shown, "camera")
+    assert shown.camera in find_owned_objects(shown, "camera")
 
 
 def test_buttons_wait_for_a_fruit(shown):
-    bpy.context.view_layer.objects.active = owned_object(shown, "root")
+    bpy.context.view_layer.objects.active = find_owned_object(shown, "root")
     assert not bpy.ops.fruitlangs.best_photo.poll()
 
 
@@ -261,14 +261,14 @@ def own_balls(balls, tmp_path) -> Path:
 def test_a_missing_photo_is_reported(extension, own_balls):
     scene = bpy.context.scene
     show_scene(bpy.context, scene, read_scene(own_balls))
-    item = owned_objects(scene, "camera")[0]
+    item = find_owned_objects(scene, "camera")[0]
     Path(item[FILE]).unlink()
     with pytest.raises(Exception, match=r"The photo 000.png is no longer in"):
         show_photo(item)
 
 
 def test_looking_goes_on_without_the_photo_and_the_panel_says_why(shown):
-    for item in owned_objects(shown, "camera"):
+    for item in find_owned_objects(shown, "camera"):
         item[FILE] = "/nowhere/at/all/1.jpg"
     assert bpy.ops.fruitlangs.best_photo() == {"FINISHED"}
     assert "/nowhere/at/all" in shown.camera[PROBLEM]
@@ -276,7 +276,7 @@ def test_looking_goes_on_without_the_photo_and_the_panel_says_why(shown):
 
 
 def test_a_camera_that_never_had_a_photo_says_so_and_what_to_do(shown):
-    for item in owned_objects(shown, "camera"):
+    for item in find_owned_objects(shown, "camera"):
         del item[FILE]
     assert bpy.ops.fruitlangs.best_photo() == {"FINISHED"}
     assert "no photo for the camera" in shown.camera[PROBLEM]
@@ -284,12 +284,12 @@ def test_a_camera_that_never_had_a_photo_says_so_and_what_to_do(shown):
 
 
 def test_a_photo_put_back_is_shown_after_loading_whatever_was_reported_when_saving(shown, tmp_path):
-    item = owned_objects(shown, "camera")[0]
+    item = find_owned_objects(shown, "camera")[0]
     item[PROBLEM] = "The photo is gone"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
-    cameras = owned_objects(bpy.context.scene, "camera")
+    cameras = find_owned_objects(bpy.context.scene, "camera")
     assert cameras
     assert not [camera for camera in cameras if PROBLEM in camera]
 
@@ -306,7 +306,7 @@ def test_photos_that_moved_with_the_blend_are_found(extension, own_balls, tmp_pa
     bpy.ops.wm.save_as_mainfile(filepath=str(own_balls.parent / "a.blend"))
     moved = Path(shutil.move(own_balls.parent, tmp_path / "elsewhere"))
     bpy.ops.wm.open_mainfile(filepath=str(moved / "a.blend"))
-    item = owned_objects(bpy.context.scene, "camera")[0]
+    item = find_owned_objects(bpy.context.scene, "camera")[0]
     assert photo_path(item) == moved / "balls" / "images" / "000.png"
     show_photo(item)
     assert background_of(item).image.filepath == "//balls/images/000.png"
@@ -345,7 +345,9 @@ def bent_balls(extension, own_balls):
 
 
 def test_the_photo_of_a_lens_that_bends_lies_on_the_fruit(bent_balls):
-    for item, pose in list(zip(owned_objects(bpy.context.scene, "camera"), ball_scene.poses(16), strict=True))[::5]:
+    for item, pose in list(zip(find_owned_objects(bpy.context.scene, "camera"), ball_scene.poses(16), strict=True))[
+        ::5
+    ]:
         truth = ball_scene.look(pose)[1] > 0
         show_photo(item)
         image = background_of(item).image
@@ -363,7 +365,7 @@ def test_a_heic_photo_that_blender_does_not_read_is_shown_as_a_copy(extension, o
     transforms = own_balls / "transforms.json"
     transforms.write_text(transforms.read_text().replace(".png", ".heic"))
     show_scene(bpy.context, bpy.context.scene, read_scene(own_balls))
-    item = owned_objects(bpy.context.scene, "camera")[0]
+    item = find_owned_objects(bpy.context.scene, "camera")[0]
     show_photo(item)
     assert item[FILE].endswith(".heic")
     assert overlap(red(background_of(item).image), ball_scene.look(ball_scene.poses(16)[0])[1] > 0) > 0.88
@@ -376,7 +378,7 @@ def window(monkeypatch):
 
     def wait(seconds: float = 20.0) -> None:
         end = time.monotonic() + seconds
-        while photo_backgrounds._show_looked_through() is not None:
+        while photo_backgrounds._show_viewed() is not None:
             assert time.monotonic() < end
             time.sleep(0.01)
 
@@ -384,8 +386,8 @@ def window(monkeypatch):
         window.drawn += 1
 
     window.wait = wait
-    monkeypatch.setattr(photo_backgrounds, "in_window", lambda: True)
-    monkeypatch.setattr(photo_backgrounds, "looked_through", lambda: window.items)
+    monkeypatch.setattr(photo_backgrounds, "has_window", lambda: True)
+    monkeypatch.setattr(photo_backgrounds, "find_viewed_cameras", lambda: window.items)
     monkeypatch.setattr(photo_backgrounds, "redraw_viewports", draw)
     yield window
     photo_backgrounds.unregister_watch()
@@ -396,15 +398,15 @@ def test_a_window_lives_on_while_a_photo_is_undistorted(bent_balls, window, monk
     hold = threading.Event()
     write = photo_files._write_undistorted
     monkeypatch.setattr(photo_files, "_write_undistorted", lambda *given: hold.wait(20.0) and write(*given))
-    first, second = window.items = owned_objects(bpy.context.scene, "camera")[:2]
+    first, second = window.items = find_owned_objects(bpy.context.scene, "camera")[:2]
     show_photo(first)
     assert is_awaited(first)
     assert background_of(first) is None
     for _ in range(5):
-        photo_backgrounds._show_looked_through()
+        photo_backgrounds._show_viewed()
     assert window.drawn == 1  # when the second began to be awaited
     window.items = [first]
-    photo_backgrounds._show_looked_through()
+    photo_backgrounds._show_viewed()
     assert not is_awaited(second)
     hold.set()
     window.wait()
@@ -414,7 +416,7 @@ def test_a_window_lives_on_while_a_photo_is_undistorted(bent_balls, window, monk
 
 
 def test_a_photo_that_cannot_be_undistorted_in_a_window_is_reported(bent_balls, window):
-    item = owned_objects(bpy.context.scene, "camera")[0]
+    item = find_owned_objects(bpy.context.scene, "camera")[0]
     data = Path(item[FILE]).read_bytes()
     Path(item[FILE]).write_bytes(data[: len(data) // 2])
     window.items = [item]
@@ -425,8 +427,8 @@ def test_a_photo_that_cannot_be_undistorted_in_a_window_is_reported(bent_balls, 
 
 def test_fruit_are_where_the_photo_shows_them(shown, counted_balls):
     """Blender's camera and the engine's put every fruit's middle on the same pixel."""
-    root = owned_object(shown, "root")
-    for item, camera in zip(owned_objects(shown, "camera"), counted_balls.scene.cameras, strict=True):
+    root = find_owned_object(shown, "root")
+    for item, camera in zip(find_owned_objects(shown, "camera"), counted_balls.scene.cameras, strict=True):
         for fruit in counted_balls.fruit_count.fruits:
             x, y, _ = world_to_camera_view(shown, item, root.matrix_world @ Vector(fruit.center.tolist()))
             pixel, _ = camera.project(fruit.center)

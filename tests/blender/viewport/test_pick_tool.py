@@ -37,7 +37,7 @@ class Tool(PickTool):
     def report(self, level, text):
         self.reports.append(text)
 
-    def picked(self, context, points):
+    def handle_points(self, context, points):
         self.points = points
         return {"FINISHED"}
 
@@ -64,7 +64,7 @@ def drawn(monkeypatch):
     space = SimpleNamespace(draw_handler_add=add, draw_handler_remove=lambda draw, _: found.remove(draw))
     types = SimpleNamespace(SpaceView3D=space)
     monkeypatch.setattr(viewport, "bpy", SimpleNamespace(types=types, app=bpy.app, context=bpy.context))
-    monkeypatch.setattr(viewport, "in_window", lambda: True)
+    monkeypatch.setattr(viewport, "has_window", lambda: True)
     return found
 
 
@@ -135,7 +135,7 @@ def clicks(context, monkeypatch):
     """The views that clicks looked along, and the region that they are in."""
     found = []
     region = SimpleNamespace(x=0, y=0, data="front")
-    monkeypatch.setattr(pick_tool, "window_region", lambda area, event: region)
+    monkeypatch.setattr(pick_tool, "find_window_region", lambda area, event: region)
     hit = SimpleNamespace(hit=lambda region, view, place: found.append(view) or np.zeros(3))
     monkeypatch.setattr(pick_tool, "Target3D", lambda bpy_scene: hit)
     return SimpleNamespace(views=found, region=region)
@@ -182,7 +182,7 @@ def test_nothing_is_measured_or_added_while_a_job_would_take_it_away(
 ):
     show_result(bpy.context, bpy.context.scene, result_of(counted, tmp_path))
     assert getattr(bpy.ops.fruitlangs, name).poll()
-    monkeypatch.setattr(jobs, "running", lambda: "a job")
+    monkeypatch.setattr(jobs, "find_running_job", lambda: "a job")
     assert not getattr(bpy.ops.fruitlangs, name).poll()
 
 

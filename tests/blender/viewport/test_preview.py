@@ -8,7 +8,7 @@ import pytest
 from mathutils import Matrix
 
 from fruitlangs.operators.data.write_gaussians import REACH
-from fruitlangs.operators.data.write_root import GROUND, looked_at, write_root
+from fruitlangs.operators.data.write_root import GROUND, find_focus, write_root
 from fruitlangs.operators.drawing import splat_drawing
 from fruitlangs.operators.steps import preview
 from fruitlangs.operators.steps.preview import Preview
@@ -36,7 +36,7 @@ def test_without_an_import_it_stands_as_the_scene_that_is_trained_will(shown, co
     interim, turned = shown(tmp_path)
     assert len(turned) == 1  # at the first picture: the user may turn the view then
     assert len(interim.splats) == 20
-    np.testing.assert_allclose(interim.centre, looked_at(counted.scene))
+    np.testing.assert_allclose(interim.centre, find_focus(counted.scene))
     assert interim.reach == pytest.approx(REACH * counted.scene.extent)
     np.testing.assert_allclose(interim.matrix, write_root(bpy.context.scene, counted.scene).matrix_basis, atol=1e-6)
     np.testing.assert_allclose(np.mean(turned[0], axis=0)[:2], (0.0, 0.0), atol=1e-5)

@@ -14,12 +14,12 @@ from mathutils import Matrix
 import fruitlangs
 from fruitlangs.fruitlangs_addon.panels.appearance_panel import FRUITLANGS_PT_look
 from fruitlangs.fruitlangs_addon.panels.step_reconstruct import FRUITLANGS_PT_reconstruct
-from fruitlangs.operators.blender_data import linear_from_srgb, owned_object, set_attribute
+from fruitlangs.operators.blender_data import find_owned_object, linear_from_srgb, set_attribute
 from fruitlangs.operators.drawing import splat_drawing
-from fruitlangs.operators.drawing.splat_order import back_to_front, has_turned, near_distance, shown_indices
+from fruitlangs.operators.drawing.splat_order import find_near_distance, has_turned, select_shown, sort_back_to_front
 from fruitlangs.operators.viewport import appearance
 from fruitlangs.operators.viewport.gaussian_nodes import PROBABILITY_RAMP, get_input, set_input
-from fruitlangs.operators.viewport.splats import POINT_SIGMA, packed_covariances, splats_in_training, splats_of_mesh
+from fruitlangs.operators.viewport.splats import POINT_SIGMA, pack_covariances, splats_in_training, splats_of_mesh
 
 
 def full(packed):
@@ -28,7 +28,7 @@ def full(packed):
 
 
 def test_covariances_are_the_engines(counted):
-    packed = packed_covariances(counted.gaussians.scales.numpy(), counted.gaussians.quats.numpy())
+    packed = pack_covariances(counted.gaussians.scales.numpy(), counted.gaussians.quats.numpy())
     np.testing.assert_allclose(full(packed), counted.gaussians.covariances.numpy(), rtol=1e-4, atol=1e-9)
 
 
@@ -60,7 +60,7 @@ def test_ellipses_are_those_of_the_engines_reference(counted):
         ]
     )
     view = np.linalg.inv(blender_pose(camera))
-    packed = full(packed_covariances(gaussians.scales.numpy(), gaussians.quats.numpy()))
+    packed = full(pack_covariances(gaussians.scales.numpy(), gaussians.quats.numpy()))
     for mean, covariance, wanted_mean, wanted in zip(
         gaussians.means.numpy(), packed, means.numpy(), covariances.numpy(), strict=True
     ):
@@ -91,9 +91,9 @@ def test_splats_hold_what_the_mesh_holds(counted):
 def test_splats_of_antialiased_gaussians_are_antialiased(counted):
     from dataclasses import replace
 
-    from fruitlangs.operators.data.write_gaussians import gaussian_mesh
+    from fruitlangs.operators.data.write_gaussians import make_gaussian_mesh
 
-    assert splats_of_mesh(gaussian_mesh(replace(counted.gaussians, antialiased=True), None, ())).antialiased
+    assert splats_of_mesh(make_gaussian_mesh(replace(counted.gaussians, antialiased=True), None, ())).antialiased
 
 
 def test_no_splats_of_a_mesh_that_is_edited_or_foreign(counted):
@@ -123,7 +123,7 @@ def test_splats_in_training_have_the_colours_of_the_mesh(counted):
 def test_order_is_from_the_farthest_to_the_nearest(count):
     random = np.random.default_rng(count)
     means, towards = random.normal(size=(count, 3)).astype(np.float32), random.normal(size=3)
-    order = back_to_front(means, towards)
+    order = sort_back_to_front(means, towards)
     assert sorted(order) == list(range(count))
     depth = (means @ towards.astype(np.float32))[order].astype(float)
     assert np.all(np.diff(depth) >= -1e-9 * (np.ptp(depth) if count else 0))
@@ -132,11 +132,11 @@ def test_order_is_from_the_farthest_to_the_nearest(count):
 def test_order_holds_where_one_is_very_far(counted):
     depth = np.array([3.0, 1.0, 1.0001, -1e4], np.float32)
     means = np.stack([np.zeros(4), np.zeros(4), depth], 1).astype(np.float32)
-    assert back_to_front(means, (0, 0, 1)).tolist() == [3, 1, 2, 0]
+    assert sort_back_to_front(means, (0, 0, 1)).tolist() == [3, 1, 2, 0]
 
 
 def test_equal_depths_keep_their_order():
-    assert back_to_front(np.ones((4, 3), np.float32), (0, 0, 1)).tolist() == [0, 1, 2, 3]
+    assert sort_back_to_front(np.ones((4, 3), np.float32), (0, 0, 1)).tolist() == [0, 1, 2, 3]
 
 
 def test_only_turning_calls_for_another_order():
@@ -149,8 +149,8 @@ def test_only_turning_calls_for_another_order():
 def test_far_faint_and_broken_splats_are_not_shown():
     means = np.array([[0, 0, 0], [3, 0, 0], [1, 0, 0], [np.nan, 0, 0]], np.float32)
     opacities = np.array([0.5, 0.5, 0.003, 0.5], np.float32)
-    assert shown_indices(means, opacities, (0.0, 0.0, 0.0), 2.0).tolist() == [0]
-    assert shown_indices(means, opacities, (2.0, 0.0, 0.0), 1e9).tolist() == [0, 1]
+    assert select_shown(means, opacities, (0.0, 0.0, 0.0), 2.0).tolist() == [0]
+    assert select_shown(means, opacities, (2.0, 0.0, 0.0), 1e9).tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("size", [0.01, 1.0, 300.0])
@@ -164,8 +164,8 @@ def test_the_near_distance_is_the_engines_near_plane(counted, size):
     pose = camera.world_to_camera.copy()
     pose[:3, 3] *= size
     moved = replace(camera, world_to_camera=pose)
-    assert near_distance(means, moved.center.astype(np.float32)) == near_plane(means, moved)
-    assert near_distance(means[:0], (0, 0, 0)) > 0
+    assert find_near_distance(means, moved.center.astype(np.float32)) == near_plane(means, moved)
+    assert find_near_distance(means[:0], (0, 0, 0)) > 0
 
 
 def test_the_shaders_ramp_is_the_one_of_the_nodes():
@@ -179,7 +179,7 @@ def test_the_shaders_ramp_is_the_one_of_the_nodes():
 
 def shown(name):
     """Attribute `name` of the points that Geometry Nodes make, in the order of the mesh; [] where they make none."""
-    item = owned_object(bpy.context.scene, "gaussians")
+    item = find_owned_object(bpy.context.scene, "gaussians")
     set_input(item.modifiers[0], "Ellipsoids up to", 0)
     for other in ("Lowest Opacity", "Lowest Probability"):
         set_input(item.modifiers[0], other, 0.0)
@@ -240,7 +240,7 @@ def test_background_mode_keeps_ellipsoids_for_there_are_no_splats(extension, cou
 
 def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counted, monkeypatch, tmp_path):
     item = written(counted)
-    monkeypatch.setattr(appearance, "in_window", lambda: True)
+    monkeypatch.setattr(appearance, "has_window", lambda: True)
     appearance.apply_appearance(bpy.context.scene)
     assert not get_input(item.modifiers[0], "In Viewport")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -250,14 +250,14 @@ def test_a_window_hides_ellipsoids_but_not_in_the_file_on_disk(extension, counte
         item for item in bpy.app.handlers.load_post if item.__name__ != "apply_appearances"
     ]
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
-    assert get_input(owned_object(bpy.context.scene, "gaussians").modifiers[0], "In Viewport")
+    assert get_input(find_owned_object(bpy.context.scene, "gaussians").modifiers[0], "In Viewport")
 
 
 def test_a_window_draws_sparse_points_as_splats_and_the_file_has_points(extension, counted, monkeypatch, tmp_path):
     item = imported(counted)
     appearance.apply_appearance(bpy.context.scene)
     assert get_input(item.modifiers[0], "In Viewport")
-    monkeypatch.setattr(appearance, "in_window", lambda: True)
+    monkeypatch.setattr(appearance, "has_window", lambda: True)
     appearance.apply_appearance(bpy.context.scene)
     assert not get_input(item.modifiers[0], "In Viewport")
     for style in ("ELLIPSOIDS", "NONE"):
@@ -354,7 +354,7 @@ def test_what_has_the_gaussians_role_and_is_no_mesh_is_left_alone(extension, cou
     item = bpy.data.objects.new("Gaussians", None)
     item["fruitlangs"] = "gaussians"
     bpy.context.scene.collection.objects.link(item)
-    assert owned_object(bpy.context.scene, "gaussians") is None
+    assert find_owned_object(bpy.context.scene, "gaussians") is None
     appearance.apply_appearance(bpy.context.scene)
 
 
@@ -376,7 +376,7 @@ def card(extension, counted, monkeypatch):
     )
     blender = SimpleNamespace(context=context, app=SimpleNamespace(timers=timers), types=bpy.types)
     monkeypatch.setattr(splat_drawing, "bpy", blender)
-    monkeypatch.setattr(splat_drawing, "_layers", layers)
+    monkeypatch.setattr(splat_drawing, "_collect_layers", layers)
     monkeypatch.setattr(splat_drawing, "_drawn", splat_drawing.Drawn())
     return calls
 
@@ -398,7 +398,7 @@ def test_another_look_tries_to_draw_splats_again(card):
     bpy.context.scene.fruitlangs.look.style = "ELLIPSOIDS"
     splat_drawing.draw_viewport()
     assert card.count == 2
-    assert splat_drawing.problem() == ""
+    assert splat_drawing.explain_problem() == ""
     assert "cannot be drawn" not in drawn(FRUITLANGS_PT_look).text
 
 
@@ -423,10 +423,10 @@ def test_background_mode_draws_nothing_and_never_loads_the_gpu_module(extension,
 
 
 def test_what_splats_share_fits_the_shaders_struct():
-    from fruitlangs.operators.drawing.splat_shader import packed_values
+    from fruitlangs.operators.drawing.splat_shader import pack_values
 
     model_view = Matrix.Translation((1.0, 2.0, 3.0))
-    values = packed_values(
+    values = pack_values(
         model_view,
         Matrix.Identity(4),
         (640, 480),

@@ -56,7 +56,7 @@ def test_the_legend_says_the_words_and_the_threshold(answered):
 
 
 def test_there_is_no_legend_where_nothing_is_lit(answered, monkeypatch):
-    settings, item = answered.fruitlangs, appearance.owned_objects(answered, "gaussians")[0]
+    settings, item = answered.fruitlangs, appearance.find_owned_objects(answered, "gaussians")[0]
     settings.look.highlight = False
     assert legend.legend_of(answered) is None
     settings.look.highlight, settings.look.style = True, "NONE"
@@ -81,8 +81,8 @@ def test_the_bar_goes_from_the_colour_at_the_threshold_to_that_of_certainty():
 def test_only_a_screen_that_shows_the_scene_is_turned_to_it(monkeypatch):
     shown, other = bpy.context.scene, bpy.data.scenes.new("Other")
     context = SimpleNamespace(screen="screen", scene=shown)
-    assert viewport.shown_screens(context, shown) == []
-    monkeypatch.setattr(viewport, "in_window", lambda: True)
-    assert viewport.shown_screens(context, shown) == ["screen"]
-    assert viewport.shown_screens(context, other) == []
+    assert viewport.find_screens(context, shown) == []
+    monkeypatch.setattr(viewport, "has_window", lambda: True)
+    assert viewport.find_screens(context, shown) == ["screen"]
+    assert viewport.find_screens(context, other) == []
     bpy.data.scenes.remove(other)
