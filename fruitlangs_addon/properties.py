@@ -23,8 +23,8 @@ from .photo_properties import FRUITLANGS_PG_photos
 from .review_properties import FRUITLANGS_PG_review
 
 
-def _group(name: str, properties: dict[str, Any], doc: str | None) -> type:
-    """A property group class created at run time, because its properties are computed."""
+def _make_group(name: str, properties: dict[str, Any], doc: str | None) -> type:
+    """Make a property group class created at run time, because its properties are computed."""
     return type(
         name, (bpy.types.PropertyGroup,), {"__annotations__": properties, "__doc__": doc, "__module__": __name__}
     )
@@ -34,14 +34,14 @@ UPDATES: dict[str, dict[str, Any]] = {"count": {"threshold": apply_threshold}}
 """{stage: {setting: update callback}}."""
 
 STAGES = {
-    stage: _group(
+    stage: _make_group(
         f"FRUITLANGS_PG_{stage}", make_config_properties(config_class, UPDATES.get(stage, {})), config_class.__doc__
     )
     for stage, config_class in stage_classes().items()
 }
 """{stage: property group}, one for each config of the engine."""
 
-FRUITLANGS_PG_config = _group(
+FRUITLANGS_PG_config = _make_group(
     "FRUITLANGS_PG_config",
     {stage: PointerProperty(type=group) for stage, group in STAGES.items()},
     "Every stage's settings.",

@@ -78,6 +78,6 @@ def drawn(panel) -> Any:
         mode="OBJECT",
     )
     made = SimpleNamespace(layout=layout, step=getattr(panel, "step", None))
-    made.body = lambda given: StepPanel.body(made, given)
+    made.make_body = lambda given: StepPanel.make_body(made, given)
     panel.draw(made, context)
     return layout

@@ -43,7 +43,7 @@ class FRUITLANGS_UL_fruits(bpy.types.UIList):
         review, items = context.scene.fruitlangs.review, list(getattr(data, property))
         shown = [is_shown(item, review.show, review.doubt, self.filter_name) for item in items]
         flags = [self.bitflag_filter_item if visible else 0 for visible in shown]
-        return flags, ranks(items, review.sort)
+        return flags, rank_items(items, review.sort)
 
 
 def draw_head(layout: Any, context: bpy.types.Context) -> None:
@@ -108,8 +108,8 @@ def is_shown(item: Any, show: str, doubt: float, name: str) -> bool:
     return verdict == REJECTED if show == "REJECTED" else True
 
 
-def ranks(items: list[Any], key: str) -> list[int]:
-    """The position of each item when sorted by a custom property, then by id."""
+def rank_items(items: list[Any], key: str) -> list[int]:
+    """Return the position of each item when sorted by a custom property, then by id."""
     default: Any = "" if key in {"kind", "label"} else 1.0
     order = sorted(range(len(items)), key=lambda index: (items[index].get(key, default), items[index].get("id", 0)))
     places = [0] * len(items)

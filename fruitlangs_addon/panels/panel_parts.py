@@ -27,8 +27,8 @@ class StepPanel(SidebarPanel):
     def draw_header(self: Any, context: bpy.types.Context) -> None:
         self.layout.label(text="", icon=ICONS[step_of(self.step, context.scene).state])
 
-    def body(self: Any, context: bpy.types.Context) -> Any:
-        """The layout of the panel with labels left of their values, below the sentence about what the step needs
+    def make_body(self: Any, context: bpy.types.Context) -> Any:
+        """Make the layout of the panel with labels left of their values, below the sentence about what the step needs
         next."""
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False

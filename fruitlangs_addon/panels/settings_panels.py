@@ -17,13 +17,14 @@ HEADINGS = {"scene": "Photos", "photos": "Camera Search", "embed": "Features", "
 LABELS: dict[Level, str] = {"common": "Settings", "advanced": "Advanced", "experimental": "Experimental"}
 
 
-def settings_panels(step: type, stages: Sequence[str]) -> tuple[type, ...]:
-    """Panels, closed at first, with the settings of some stages: common ones below `step`, the others below these."""
+def make_settings_panels(step: type, stages: Sequence[str]) -> tuple[type, ...]:
+    """Make panels, closed at first, with the settings of some stages: common ones below `step`, the others below
+    these."""
     panels: list[type] = []
     for level in LEVELS:
         names = {stage: settings_of(stage, level) for stage in stages}
         if any(names.values()):
-            panels.append(_panel(panels[0] if panels else step, level, names))
+            panels.append(_make_panel(panels[0] if panels else step, level, names))
     return tuple(panels)
 
 
@@ -32,8 +33,8 @@ def settings_of(stage: str, level: Level) -> list[str]:
     return [setting.name for setting in fields(STAGES[stage]) if level_of(setting) == level]
 
 
-def _panel(parent: type, level: Level, names: dict[str, list[str]]) -> type:
-    """The panel of one level below `parent`; names: {stage: its settings}."""
+def _make_panel(parent: type, level: Level, names: dict[str, list[str]]) -> type:
+    """Make the panel of one level below `parent`; names: {stage: its settings}."""
 
     def draw(self: bpy.types.Panel, context: bpy.types.Context) -> None:
         layout = self.layout

@@ -7,7 +7,7 @@ import bpy
 from ...operators.jobs.jobs import find_running_job
 from ...operators.steps.ask import FRUITLANGS_OT_ask
 from .panel_parts import StepPanel, draw_text
-from .settings_panels import settings_panels
+from .settings_panels import make_settings_panels
 
 
 class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
@@ -17,7 +17,7 @@ class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
     step = "ask"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(context), context.scene.fruitlangs
+        layout, settings = self.make_body(context), context.scene.fruitlangs
         column = layout.column()
         column.enabled = find_running_job() is None
         column.prop(settings, "prompt")
@@ -32,6 +32,6 @@ class FRUITLANGS_PT_ask(StepPanel, bpy.types.Panel):
         layout.operator(FRUITLANGS_OT_ask.bl_idname, icon="QUESTION")
 
 
-SETTINGS = settings_panels(FRUITLANGS_PT_ask, ("embed",))
+SETTINGS = make_settings_panels(FRUITLANGS_PT_ask, ("embed",))
 
 CLASSES = (FRUITLANGS_PT_ask, *SETTINGS)

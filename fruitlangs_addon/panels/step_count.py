@@ -10,7 +10,7 @@ from ...operators.data.read_gaussians import count_deleted_gaussians
 from ...operators.steps.count import FRUITLANGS_OT_count
 from ...operators.steps.show_result import size_text
 from .panel_parts import StepPanel, draw_job, draw_text
-from .settings_panels import settings_panels
+from .settings_panels import make_settings_panels
 
 DELETED = "Deleted Gaussians ({:,}) take part in a count and come back. To leave out a part, add a region in step 1"
 
@@ -22,7 +22,7 @@ class FRUITLANGS_PT_count(StepPanel, bpy.types.Panel):
     step = "count"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(context), context.scene.fruitlangs
+        layout, settings = self.make_body(context), context.scene.fruitlangs
         deleted = count_deleted_gaussians(context.scene)
         if deleted:
             draw_text(layout, DELETED.format(deleted), context, icon="INFO")
@@ -55,6 +55,6 @@ def draw_result(layout: Any, settings: Any, context: bpy.types.Context) -> None:
     draw_text(box, result.folder, context)
 
 
-SETTINGS = settings_panels(FRUITLANGS_PT_count, ("count",))
+SETTINGS = make_settings_panels(FRUITLANGS_PT_count, ("count",))
 
 CLASSES = (FRUITLANGS_PT_count, *SETTINGS)

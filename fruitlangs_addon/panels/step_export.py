@@ -29,7 +29,7 @@ class FRUITLANGS_PT_export(StepPanel, bpy.types.Panel):
     step = "export"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.body(context)
+        layout = self.make_body(context)
         if draw_job(layout, TITLE, context):
             return
         if has_count(context.scene):

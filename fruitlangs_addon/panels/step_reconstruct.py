@@ -8,7 +8,7 @@ from ...operators.jobs.jobs import find_running_job
 from ...operators.steps.device import describe_device
 from ...operators.steps.reconstruct import FRUITLANGS_OT_reconstruct
 from .panel_parts import StepPanel, draw_job, draw_settings, draw_splat_problem, draw_text
-from .settings_panels import settings_panels
+from .settings_panels import make_settings_panels
 
 MAIN = ("steps", "max_gaussians")
 """The settings that most people change; the others are in the panels below."""
@@ -21,7 +21,7 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
     step = "reconstruct"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(context), context.scene.fruitlangs
+        layout, settings = self.make_body(context), context.scene.fruitlangs
         column = layout.column()
         column.enabled = find_running_job() is None
         column.prop(settings, "gaussians")
@@ -43,6 +43,6 @@ class FRUITLANGS_PT_reconstruct(StepPanel, bpy.types.Panel):
                 draw_text(layout, result.notices, context)
 
 
-SETTINGS = settings_panels(FRUITLANGS_PT_reconstruct, ("train",))
+SETTINGS = make_settings_panels(FRUITLANGS_PT_reconstruct, ("train",))
 
 CLASSES = (FRUITLANGS_PT_reconstruct, *SETTINGS)

@@ -37,7 +37,7 @@ class FRUITLANGS_PT_review(StepPanel, bpy.types.Panel):
     step = "review"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, review = self.body(context), context.scene.fruitlangs.review
+        layout, review = self.make_body(context), context.scene.fruitlangs.review
         if not has_count(context.scene):
             return
         draw_text(layout, review_line(context.scene).capitalize(), context, icon="CHECKMARK")

@@ -19,7 +19,7 @@ from ...operators.tools.reset_placement import FRUITLANGS_OT_reset_placement
 from ...operators.tools.scale import FRUITLANGS_OT_measure, scale_text
 from .missing_packages import draw_missing_packages
 from .panel_parts import StepPanel, draw_job, draw_text
-from .settings_panels import settings_panels
+from .settings_panels import make_settings_panels
 
 VIDEOS = tuple(VIDEO_SUFFIXES)
 ANOTHER_DRIVE = "The scene is on another drive than the .blend. Keep it where it is, or choose it again after moving it"
@@ -32,7 +32,7 @@ class FRUITLANGS_PT_scene(StepPanel, bpy.types.Panel):
     step = "scene"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.body(context), context.scene.fruitlangs
+        layout, settings = self.make_body(context), context.scene.fruitlangs
         draw_missing_packages(layout, context)
         column = layout.column()
         column.enabled = find_running_job() is None
@@ -89,6 +89,6 @@ def draw_placement(layout: Any, context: bpy.types.Context) -> None:
         layout.operator(FRUITLANGS_OT_reset_placement.bl_idname, icon="LOOP_BACK")
 
 
-SETTINGS = settings_panels(FRUITLANGS_PT_scene, ("scene", "photos", "units"))
+SETTINGS = make_settings_panels(FRUITLANGS_PT_scene, ("scene", "photos", "units"))
 
 CLASSES = (FRUITLANGS_PT_scene, *SETTINGS)

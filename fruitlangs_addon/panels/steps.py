@@ -50,7 +50,7 @@ class Check:
 
 def step_of(name: Name, bpy_scene: bpy.types.Scene) -> Step:
     """The state of a step. `next` is the first one that is not done; `ready` ones can be done as well."""
-    if _went_wrong(name, bpy_scene):
+    if _has_failed(name, bpy_scene):
         return Step("wrong", "")
     found = CHECKS[name](bpy_scene)
     if found.done:
@@ -61,14 +61,14 @@ def step_of(name: Name, bpy_scene: bpy.types.Scene) -> Step:
     return Step("ready" if found.ready else "later", found.sentence)
 
 
-def _went_wrong(name: Name, bpy_scene: bpy.types.Scene) -> bool:
+def _has_failed(name: Name, bpy_scene: bpy.types.Scene) -> bool:
     settings = bpy_scene.fruitlangs
     if name == "ask":
         return bool(settings.answer.problem)
     return bool(settings.failed) and settings.failed == TITLES.get(name)
 
 
-def _scene(bpy_scene: bpy.types.Scene) -> Check:
+def _check_scene(bpy_scene: bpy.types.Scene) -> Check:
     if bpy_scene.fruitlangs.result.cameras:
         return Check(True, True)
     chosen = bool(bpy_scene.fruitlangs.source)
@@ -76,7 +76,7 @@ def _scene(bpy_scene: bpy.types.Scene) -> Check:
     return Check(False, True, "Press Import Scene to show it" if chosen else choose)
 
 
-def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
+def _check_reconstruct(bpy_scene: bpy.types.Scene) -> Check:
     if find_owned_object(bpy_scene, "gaussians") is not None:
         return Check(True, True)
     settings = bpy_scene.fruitlangs
@@ -85,7 +85,7 @@ def _reconstruct(bpy_scene: bpy.types.Scene) -> Check:
     return Check(False, True, f"Press Reconstruct to {'import' if settings.gaussians else 'train'} Gaussians")
 
 
-def _ask(bpy_scene: bpy.types.Scene) -> Check:
+def _check_ask(bpy_scene: bpy.types.Scene) -> Check:
     if bpy_scene.fruitlangs.answer.text:
         return Check(True, True)
     if find_owned_object(bpy_scene, "gaussians") is None:
@@ -93,7 +93,7 @@ def _ask(bpy_scene: bpy.types.Scene) -> Check:
     return Check(False, True, "Enter what to count")
 
 
-def _count(bpy_scene: bpy.types.Scene) -> Check:
+def _check_count(bpy_scene: bpy.types.Scene) -> Check:
     settings = bpy_scene.fruitlangs
     if settings.result.count >= 0:
         return Check(True, True)
@@ -106,7 +106,7 @@ def _count(bpy_scene: bpy.types.Scene) -> Check:
     return Check(False, True, "Press Count Fruit")
 
 
-def _review(bpy_scene: bpy.types.Scene) -> Check:
+def _check_review(bpy_scene: bpy.types.Scene) -> Check:
     if not has_count(bpy_scene):
         return Check(False, False, "Count first, then review each fruit here")
     missing = describe_missing(bpy_scene)
@@ -125,7 +125,7 @@ def _review(bpy_scene: bpy.types.Scene) -> Check:
     return Check(True, True, reviewed if uncertain else f"No uncertain fruit: none is below {bound:.2f}")
 
 
-def _export(bpy_scene: bpy.types.Scene) -> Check:
+def _check_export(bpy_scene: bpy.types.Scene) -> Check:
     if not has_count(bpy_scene):
         return Check(False, False, "Count first, then export here")
     missing = describe_missing(bpy_scene)
@@ -139,12 +139,12 @@ def _export(bpy_scene: bpy.types.Scene) -> Check:
 
 
 CHECKS: dict[Name, Callable[[bpy.types.Scene], Check]] = {
-    "scene": _scene,
-    "reconstruct": _reconstruct,
-    "ask": _ask,
-    "count": _count,
-    "review": _review,
-    "export": _export,
+    "scene": _check_scene,
+    "reconstruct": _check_reconstruct,
+    "ask": _check_ask,
+    "count": _check_count,
+    "review": _check_review,
+    "export": _check_export,
 }
 """The steps in order."""
 TITLES: dict[Name, str] = {

@@ -13,7 +13,7 @@ from mathutils import Vector
 from fruitlangs.engine.counting.accounts.review import replay
 from fruitlangs.engine.counting.fruit import KIND_TEXTS
 from fruitlangs.engine.errors import SceneError
-from fruitlangs.fruitlangs_addon.panels.fruit_list import KIND_ICONS, cells, head, is_shown, ranks, sign_of
+from fruitlangs.fruitlangs_addon.panels.fruit_list import KIND_ICONS, cells, head, is_shown, rank_items, sign_of
 from fruitlangs.fruitlangs_addon.panels.step_review import FRUITLANGS_PT_review
 from fruitlangs.operators.blender_data import find_owned_object, find_owned_objects, get_attribute
 from fruitlangs.operators.data.fruit_objects import (
@@ -680,8 +680,8 @@ def test_the_list_filters_by_doubt_and_sorts(shown):
     assert [is_shown(item, "OPEN", 0.8, "") for item in items] == [True, False, True]
     assert [is_shown(item, "REJECTED", 0.8, "") for item in items] == [False, True, False]
     assert [is_shown(item, "ALL", 0.8, "apple.003") for item in items] == [False, False, True]
-    assert ranks(items, "probability") == [2, 0, 1]
-    assert ranks(items, "diameter") == [0, 1, 2]
+    assert rank_items(items, "probability") == [2, 0, 1]
+    assert rank_items(items, "diameter") == [0, 1, 2]
 
 
 def test_reviews_of_two_scenes_in_one_file_are_apart(shown, counted, result_of, tmp_path):
