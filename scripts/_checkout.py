@@ -23,8 +23,8 @@ PLAIN = {
 """{character: what stands for it where it cannot be printed}; letters lose their accents, all else becomes "?"."""
 
 
-def _plain(error: UnicodeError) -> tuple[str, int]:
-    """What replaces the characters that an encoding lacks."""
+def _replace_characters(error: UnicodeError) -> tuple[str, int]:
+    """Return what replaces the characters that an encoding lacks."""
     assert isinstance(error, UnicodeEncodeError)
     text = ""
     for character in error.object[error.start : error.end]:
@@ -47,7 +47,7 @@ def _load() -> None:
     spec.loader.exec_module(module)
 
 
-codecs.register_error("plain", _plain)
+codecs.register_error("plain", _replace_characters)
 for stream in (sys.stdout, sys.stderr):
     if hasattr(stream, "reconfigure"):  # a test's or Blender's may be another object
         stream.reconfigure(errors="plain")

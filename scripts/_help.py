@@ -27,17 +27,17 @@ STAGES = {
 """{stage: its heading}."""
 
 
-def asked_for_help(given: Sequence[str]) -> bool:
+def has_help_flag(given: Sequence[str]) -> bool:
     """Whether the arguments ask for either page."""
     return any(argument in ("-h", "--help", "--help-all") for argument in given)
 
 
-def parsed(kind: Any, default: Any, given: Sequence[str], script: str, example: str) -> Any:
-    """The arguments of a script (a dataclass, `kind`), or exit: 0 with a help page, 2 with a usage message.
+def parse_arguments(kind: Any, default: Any, given: Sequence[str], script: str, example: str) -> Any:
+    """Parse the arguments of a script (a dataclass, `kind`), or exit: 0 with a help page, 2 with a usage message.
 
     script: its file; example: the arguments of a usual call.
     """
-    if asked_for_help(given):
+    if has_help_flag(given):
         print(help_text(program(script), default, f"{call_of(script)} {example}", every="--help-all" in given))
         sys.exit(0)
     return import_tyro().cli(kind, args=given, default=default, prog=program(script), description=kind.__doc__)
@@ -52,50 +52,50 @@ def help_text(program: str, default: Any, example: str, *, every: bool) -> str:
     stages = [field.name for field in dataclasses.fields(default) if field.name in STAGES]
     own = [field for field in dataclasses.fields(default) if field.name not in STAGES]
     docs, kinds = field_docs(type(default)), typing.get_type_hints(type(default), include_extras=True)
-    flags = {field.name: _flag(field.name, kinds[field.name]) for field in own}
+    flags = {field.name: _format_flag(field.name, kinds[field.name]) for field in own}
     flags[own[0].name] = flags[own[0].name].partition(" ")[2]  # positional
     required = [flags[field.name] for field in own if field.default is dataclasses.MISSING]
-    lines = [f"usage: {program} {' '.join(required)} [options]", "", *_wrapped(type(default).__doc__ or "", ""), ""]
+    lines = [f"usage: {program} {' '.join(required)} [options]", "", *_wrap(type(default).__doc__ or "", ""), ""]
     lines += ["Example:", f"  {example}", "", "Arguments:"]
     for field in own:
-        lines += _entry(flags[field.name], docs[field.name], _default(default, field))
-    lines += _entry("-h, --help", "Show this page.")
+        lines += _format_entry(flags[field.name], docs[field.name], _format_default(default, field))
+    lines += _format_entry("-h, --help", "Show this page.")
     if not stages:
         return "\n".join(lines)
-    lines += _entry("--help-all", "Show every setting.")
+    lines += _format_entry("--help-all", "Show every setting.")
     if not every:
-        return "\n".join([*lines, "", "Common settings:", *_settings(default, stages, ("common",))])
+        return "\n".join([*lines, "", "Common settings:", *_format_settings(default, stages, ("common",))])
     for stage in stages:
-        lines += ["", f"{STAGES[stage]}:", *_settings(default, [stage], ("common", "advanced"))]
+        lines += ["", f"{STAGES[stage]}:", *_format_settings(default, [stage], ("common", "advanced"))]
     lines += ["", "Experimental (for comparison with the paper's ablations):"]
-    return "\n".join([*lines, *_settings(default, stages, ("experimental",))])
+    return "\n".join([*lines, *_format_settings(default, stages, ("experimental",))])
 
 
-def _settings(default: Any, stages: Sequence[str], levels: Sequence[str]) -> Iterator[str]:
+def _format_settings(default: Any, stages: Sequence[str], levels: Sequence[str]) -> Iterator[str]:
     for stage in stages:
         config = getattr(default, stage)
         docs, kinds = field_docs(type(config)), typing.get_type_hints(type(config))
         for field in dataclasses.fields(config):
             if level_of(field) in levels:
-                flag = _flag(f"{stage}.{field.name}", kinds[field.name])
-                yield from _entry(flag, docs[field.name], _default(config, field))
+                flag = _format_flag(f"{stage}.{field.name}", kinds[field.name])
+                yield from _format_entry(flag, docs[field.name], _format_default(config, field))
 
 
-def _entry(flag: str, doc: str, default: str = "") -> list[str]:
-    """A flag with its text to the right, or below it if the flag is long."""
+def _format_entry(flag: str, doc: str, default: str = "") -> list[str]:
+    """Write a flag with its text to the right, or below it if the flag is long."""
     flag = f"  {flag.rstrip()}"
-    text = list(_wrapped(f"{doc} {default}".rstrip(), " " * COLUMN))
+    text = list(_wrap(f"{doc} {default}".rstrip(), " " * COLUMN))
     if len(flag) + 2 > COLUMN:
         return [flag, *text]
     return [flag.ljust(COLUMN) + text[0][COLUMN:], *text[1:]]
 
 
-def _wrapped(text: str, indent: str) -> list[str]:
+def _wrap(text: str, indent: str) -> list[str]:
     return textwrap.wrap(" ".join(text.split()), WIDTH, initial_indent=indent, subsequent_indent=indent)
 
 
-def _flag(name: str, kind: Any) -> str:
-    """A flag with the placeholder of its value."""
+def _format_flag(name: str, kind: Any) -> str:
+    """Write a flag with the placeholder of its value."""
     flag = name.replace("_", "-")
     if kind is bool:
         stage, dot, setting = flag.rpartition(".")
@@ -103,8 +103,8 @@ def _flag(name: str, kind: Any) -> str:
     return f"--{flag} {_placeholder(kind)}"
 
 
-def _default(values: Any, field: dataclasses.Field[Any]) -> str:
-    """The default in brackets; nothing if the field is required, empty or not given."""
+def _format_default(values: Any, field: dataclasses.Field[Any]) -> str:
+    """Write the default in brackets; nothing if the field is required, empty or not given."""
     value = getattr(values, field.name)
     if field.default is dataclasses.MISSING or value in (None, (), ""):
         return ""

@@ -53,8 +53,8 @@ def arguments_of(script: str) -> list[str]:
     return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
 
 
-def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[str]:
-    """Arguments with the stage added to flags of a stage that may be given without it: --encoder clip is
+def spell_out(given: Sequence[str], stage: str, config_class: type) -> list[str]:
+    """Return the arguments with the stage added to flags of a stage that may be given without it: --encoder clip is
     --embed.encoder clip."""
     names = {field.name.replace("_", "-") for field in dataclasses.fields(config_class) if field.name != "seed"}
     spelled = []
@@ -67,8 +67,8 @@ def spelled_out(given: Sequence[str], stage: str, config_class: type) -> list[st
     return spelled
 
 
-def given_settings(given: Sequence[str]) -> set[str]:
-    """The settings ("train.steps") among the arguments, whatever their value; --preset gives those of training."""
+def list_given_settings(given: Sequence[str]) -> set[str]:
+    """List the settings ("train.steps") among the arguments, whatever their value; --preset gives those of training."""
     names = {argument.partition("=")[0].removeprefix("--").replace("-", "_") for argument in given}
     settings = {f"{stage}.{field.name}" for stage, kind in STAGES.items() for field in dataclasses.fields(kind)}
     of_training = {name for name in settings if "preset" in names and name.startswith("train.")}
@@ -109,8 +109,8 @@ def _leave(line: str, code: int) -> NoReturn:
     sys.exit(code)
 
 
-def table(rows: list[tuple[str, ...]]) -> str:
-    """Rows of cells in aligned columns."""
+def format_table(rows: list[tuple[str, ...]]) -> str:
+    """Write rows of cells in aligned columns."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     first, *others = widths
     return "\n".join(

@@ -20,8 +20,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from _checkout import ROOT
 
-from _help import parsed
-from _terminal import arguments_of, import_tyro, preset_of, run, table, terminal_progress
+from _help import parse_arguments
+from _terminal import arguments_of, format_table, import_tyro, preset_of, run, terminal_progress
 from fruitlangs.engine.config import PRESETS, Config, PhotosConfig, Preset, SceneConfig, TrainConfig
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def report_lines(source: Path, check: PhotoCheck) -> Iterator[str]:
         rows = [(cost.stage, duration(cost.seconds), f"{cost.bytes / 2**30:.1f} GB") for cost in check.costs]
         whole = ("in all", duration(check.seconds), f"{check.bytes / 2**30:.1f} GB")
         yield "\nexpected on this computer, within a factor of two:"
-        yield textwrap.indent(table([("stage", "time", "memory"), *rows, whole]), "  ")
+        yield textwrap.indent(format_table([("stage", "time", "memory"), *rows, whole]), "  ")
 
 
 def main() -> None:
@@ -76,7 +76,7 @@ def main() -> None:
 
     folder = sheet_folder(arguments.source, arguments.out)
     if arguments.out is None:
-        folder = outside_checkout(folder)
+        folder = keep_outside_checkout(folder)
     config = Config(scene=arguments.scene, photos=arguments.photos, train=arguments.train)
     check = check_photos(arguments.source, config, progress=terminal_progress())
     print("\n".join(report_lines(arguments.source, check)))
@@ -85,8 +85,8 @@ def main() -> None:
         print(f"\nwritten:\n  {folder / SHEET}")
 
 
-def outside_checkout(folder: Path) -> Path:
-    """The folder, or one in `results`, which no build takes files from, if it is inside the checkout."""
+def keep_outside_checkout(folder: Path) -> Path:
+    """Return the folder, or one in `results`, which no build takes files from, if it is inside the checkout."""
     return ROOT / "results" / folder.name if folder.is_relative_to(ROOT) else folder
 
 
@@ -95,7 +95,7 @@ def parse() -> Arguments:
     given = arguments_of(__file__)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, preset=preset_of(given), train=PRESETS[preset_of(given)])
-    arguments: Arguments = parsed(Arguments, default, given, __file__, EXAMPLE)
+    arguments: Arguments = parse_arguments(Arguments, default, given, __file__, EXAMPLE)
     return arguments
 
 

@@ -20,7 +20,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 import numpy as np
 from numpy.typing import NDArray
 
-from _terminal import arguments_of, program, run, table
+from _terminal import arguments_of, format_table, program, run
 from fruitlangs.engine.counting.fruit import NO_TREE
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.evaluation.metrics import count_metrics
@@ -71,10 +71,10 @@ def compare_row(
     numbers = truth.trees
     if numbers is None or not numbers.any():
         raise FormatError(f"{truth_file}: none of its fruit says which tree it hangs on. Expected a number as its tree")
-    centers = _rows(fruit["center"] for fruit in document["fruits"])
+    centers = _stack(fruit["center"] for fruit in document["fruits"])
     places = places_of(truth.centers, numbers) if trees_file is None else read_places(trees_file)
     if trees_file is None and document.get("trees"):
-        counted = own_trees(document, places, up)
+        counted = find_own_trees(document, places, up)
     else:
         counted = assign_to_trees(centers, places, up)
     trees = np.union1d(places.numbers, numbers[numbers != NO_TREE])
@@ -88,14 +88,15 @@ def compare_row(
     return visible, total, scores
 
 
-def own_trees(document: Mapping[str, Any], places: TreePlaces, up: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(P,) true number of the tree of each fruit: that of the true tree at the position of the result's tree."""
-    stand = assign_to_trees(_rows(tree["position"] for tree in document["trees"]), places, up)
+def find_own_trees(document: Mapping[str, Any], places: TreePlaces, up: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Find the true number (P,) of the tree of each fruit: that of the true tree at the position of the result's
+    tree."""
+    stand = assign_to_trees(_stack(tree["position"] for tree in document["trees"]), places, up)
     numbers = {tree["number"]: int(true) for tree, true in zip(document["trees"], stand, strict=True)}
     return np.array([numbers.get(fruit["tree"], NO_TREE) for fruit in document["fruits"]], dtype=np.int64)
 
 
-def _rows(places: Iterable[Sequence[float]]) -> NDArray[np.float64]:
+def _stack(places: Iterable[Sequence[float]]) -> NDArray[np.float64]:
     return np.array(list(places), dtype=np.float64).reshape(-1, 3)
 
 
@@ -108,7 +109,7 @@ def comparison_table(visible: TreeComparison, total: TreeComparison, scores: Seq
     ]
     sums = [int(column.sum()) for column in (visible.true, total.true, visible.counted)]
     whole = ("sum", *(str(value) for value in sums), f"{sums[2] - sums[0]:+d}", "")
-    lines = [table([("tree", "visible", "true", "counted", "counted - visible", "F1"), *rows, whole])]
+    lines = [format_table([("tree", "visible", "true", "counted", "counted - visible", "F1"), *rows, whole])]
     for name, comparison in (("visible fruit", visible), ("all fruit", total)):
         lines.append(
             f"against {name}: MAPE {comparison.mape:.1%}, bias {comparison.bias:+.2f} a tree, R² {comparison.r2:.3f}"

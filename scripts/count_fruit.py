@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import parsed
-from _terminal import arguments_of, given_settings, import_tyro, preset_of, run, spelled_out, terminal_progress
+from _help import parse_arguments
+from _terminal import arguments_of, import_tyro, list_given_settings, preset_of, run, spell_out, terminal_progress
 from fruitlangs.engine.config import (
     PRESETS,
     Config,
@@ -155,11 +155,11 @@ def main() -> None:
 
 def parse() -> tuple[Arguments, set[str]]:
     """The arguments and the names of the settings among them, or exit 2 with a usage message."""
-    given = spelled_out(arguments_of(__file__), "embed", EmbedConfig)
+    given = spell_out(arguments_of(__file__), "embed", EmbedConfig)
     preset = preset_of(given)
     needed: Any = tyro.MISSING
     default = Arguments(source=needed, prompt=needed, out=needed, preset=preset, train=PRESETS[preset])
-    return parsed(Arguments, default, given, __file__, EXAMPLE), given_settings(given)
+    return parse_arguments(Arguments, default, given, __file__, EXAMPLE), list_given_settings(given)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import parsed
+from _help import parse_arguments
 from _terminal import arguments_of, import_tyro, run, say
 from fruitlangs.engine.errors import ConfigError, CountingError, FruitLangsError
 from fruitlangs.engine.progress import duration
@@ -114,10 +114,10 @@ def main() -> None:
         compile_once()
     command = python_command(Path(__file__).resolve())
 
-    def changed(own: str, state: TreeState) -> None:
+    def report_change(own: str, state: TreeState) -> None:
         say(f"{own}: {state_text(state, ledger.folder(own).path)}")
 
-    drive(ledger, trees, workers, command, free=available_bytes(), changed=changed)
+    drive(ledger, trees, workers, command, free=available_bytes(), changed=report_change)
     answer = publish_block(ledger, all_trees=arguments.all_trees, density=arguments.density)
     say(block_text(answer.document))
     say("\n".join(["", "written:", *(f"  {path}" for path in answer.files)]))
@@ -137,15 +137,15 @@ def say_before(states: Mapping[str, TreeState]) -> None:
         if state.stage == "waiting" and state.reason:
             by_reason.setdefault(state.reason, []).append(own)
     for reason, trees in by_reason.items():
-        say(f"{counted_trees(len(trees))} counted again ({listed(trees)}): {reason}")
+        say(f"{describe_counted(len(trees))} counted again ({join_names(trees)}): {reason}")
 
 
-def counted_trees(count: int) -> str:
+def describe_counted(count: int) -> str:
     return "1 tree is" if count == 1 else f"{count} trees are"
 
 
-def listed(names: Sequence[str]) -> str:
-    """Names as a list, of which the first are given."""
+def join_names(names: Sequence[str]) -> str:
+    """Join names as a list, of which the first are given."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
@@ -220,7 +220,7 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
             say(f"{tree.id}: done" + (f", but {check.note}" if check.note else ""))
             continue
         try:
-            text, seconds = expected(tree)
+            text, seconds = estimate_tree(tree)
             text += f" (again: {check.note})" if check.outdated else ""
         except FruitLangsError as error:
             text, seconds = str(error), 0.0
@@ -233,8 +233,8 @@ def plan(trees: list[TreeEntry], ledger: Ledger) -> None:
         raise CountingError(f"{wrong} of {len(trees)} trees cannot be counted. The reasons are above")
 
 
-def expected(tree: TreeEntry) -> tuple[str, float]:
-    """What counting a tree takes, in words, and its seconds; 0 if they cannot be estimated.
+def estimate_tree(tree: TreeEntry) -> tuple[str, float]:
+    """Estimate what counting a tree takes, in words, and its seconds; 0 if they cannot be estimated.
 
     Raises:
         FruitLangsError: the tree cannot be counted, because of its words or its source.
@@ -272,9 +272,9 @@ def encoder_of(config: EmbedConfig) -> Encoder:
     return Embedder.open(config).encoder
 
 
-def worker(given: list[str]) -> None:
-    """What `--worker` starts: a process that counts trees of a block. given: its folder, the name of the run, and the
-    executor."""
+def run_worker(given: list[str]) -> None:
+    """Run what `--worker` starts: a process that counts trees of a block. given: its folder, the name of the run, and
+    the executor."""
     from fruitlangs.engine.block.ledger import Ledger
     from fruitlangs.engine.block.worker import work
     from fruitlangs.engine.child_process import end_with_parent
@@ -289,7 +289,7 @@ def worker(given: list[str]) -> None:
 def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
     needed: Any = tyro.MISSING
-    arguments: Arguments = parsed(
+    arguments: Arguments = parse_arguments(
         Arguments, Arguments(manifest=needed, out=needed), arguments_of(__file__), __file__, EXAMPLE
     )
     return arguments
@@ -297,4 +297,4 @@ def parse() -> Arguments:
 
 if __name__ == "__main__":
     own = arguments_of(__file__)
-    run((lambda: worker(own[1:])) if own[:1] == ["--worker"] else main)
+    run((lambda: run_worker(own[1:])) if own[:1] == ["--worker"] else main)

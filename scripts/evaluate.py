@@ -26,7 +26,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 import numpy as np
 
-from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, table, terminal_progress
+from _terminal import arguments_of, format_table, import_tyro, preset_of, report, run, spell_out, terminal_progress
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.pages import stage_rows, write_pages
 from fruitlangs.benchmarks.ladder.stages import SAME_POSE
@@ -99,12 +99,12 @@ def main(given: Sequence[str] | None = None) -> None:
     if arguments.truth is not None:
         folders = [Path(name) for name in arguments.given]
         rows = [row for folder in folders for row in measure(folder, arguments.truth, arguments.label)]
-        print(table([HEADER, *rows]))
+        print(format_table([HEADER, *rows]))
     else:
-        ladder(arguments)
+        run_ladder(arguments)
 
 
-def ladder(arguments: Arguments) -> None:
+def run_ladder(arguments: Arguments) -> None:
     """Count every scene and write the pages after each, so that an interrupt keeps what was measured."""
     assert arguments.out is not None
     config = Config(scene=arguments.scene, train=arguments.train, embed=arguments.embed, count=arguments.count)
@@ -142,15 +142,15 @@ def measure(folder: Path, truth_file: Path, label: str | None) -> list[tuple[str
     unit = document["metres_per_unit"] or 1.0
     centers = np.array([fruit["center"] for fruit in fruits], dtype=np.float64).reshape(-1, 3)
     diameters = np.array([fruit["diameter"] / unit for fruit in fruits], dtype=np.float64)
-    moved = to_truth(folder / CAMERAS, truth_file, truth.mean_diameter)
+    moved = align_to_truth(folder / CAMERAS, truth_file, truth.mean_diameter)
     if moved is not None:
         centers, diameters = moved.apply(centers), moved.apply_to_lengths(diameters)
     return [cells(folder.name, count_metrics(centers, diameters, truth, radius)) for radius in RADII]
 
 
-def to_truth(cameras: Path, truth_file: Path, diameter: float) -> Similarity | None:
-    """The similarity from a result's frame to that of the truth, by the cameras that both list; None if the frames are
-    the same, or if one of them lists no cameras. Cameras that were found from photos have a frame of their own.
+def align_to_truth(cameras: Path, truth_file: Path, diameter: float) -> Similarity | None:
+    """Find the similarity from a result's frame to that of the truth, by the cameras that both list; None if the frames
+    are the same, or if one of them lists no cameras. Cameras that were found from photos have a frame of their own.
 
     Raises:
         FormatError: the frames differ, and the cameras that both list do not tell how: they are too few, or half of
@@ -203,7 +203,7 @@ def cells(name: str, metrics: CountMetrics) -> tuple[str, ...]:
 
 def parse(given: list[str]) -> Arguments:
     """The arguments, or exit 2 with a usage message."""
-    given = spelled_out(given, "embed", EmbedConfig)
+    given = spell_out(given, "embed", EmbedConfig)
     preset = preset_of(given)
     default = Arguments(given=(), preset=preset, train=PRESETS[preset])
     return tyro.cli(Arguments, args=given, default=default, prog="evaluate.py", description=__doc__)

@@ -32,7 +32,7 @@ def main(given: Sequence[str] | None = None) -> None:
     Raises:
         FruitLangsError: the data set cannot be read or the files cannot be written.
     """
-    arguments = _parser().parse_args(arguments_of(__file__) if given is None else given)
+    arguments = _make_parser().parse_args(arguments_of(__file__) if given is None else given)
     _refuse_other_flags(arguments)
     imported, cloud = _read(arguments)
     if arguments.transform is not None:
@@ -40,10 +40,10 @@ def main(given: Sequence[str] | None = None) -> None:
     if cloud is not None:
         write_cloud(arguments.cloud, cloud)
     write_truth(arguments.out, imported)
-    print("\n".join(_summary(imported)))
+    print("\n".join(_summarise(imported)))
 
 
-def _parser() -> argparse.ArgumentParser:
+def _make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("layout", choices=LAYOUTS, metavar="LAYOUT", help=", ".join(LAYOUTS))
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="the unpacked data set, or one tree of it")
@@ -83,7 +83,7 @@ def _read(arguments: argparse.Namespace) -> tuple[ImportedTruth, ColoredCloud | 
     return fuji.read_fuji_truth(arguments.folder), cloud
 
 
-def _summary(imported: ImportedTruth) -> list[str]:
+def _summarise(imported: ImportedTruth) -> list[str]:
     diameters = imported.truth.diameters
     lines = [f"{len(diameters)} {imported.label}, mean diameter {np.mean(diameters):.4g} scene units"]
     if imported.truth.trees is not None:

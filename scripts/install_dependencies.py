@@ -28,7 +28,7 @@ def main() -> int:
     )
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
     arguments = parser.parse_args(given)
-    dependencies = extension_or_checkout()
+    dependencies = find_dependencies()
     if arguments.cuda:
         missing = [] if dependencies.cuda_torch() else ["PyTorch for NVIDIA cards"]
     else:
@@ -49,8 +49,8 @@ def main() -> int:
     return 0
 
 
-def extension_or_checkout() -> ModuleType:
-    """`operators.packages.dependencies` of the enabled extension, else of this checkout."""
+def find_dependencies() -> ModuleType:
+    """Return `operators.packages.dependencies` of the enabled extension, else of this checkout."""
     for name, module in list(sys.modules.items()):
         if name.startswith("bl_ext.") and name.endswith(".fruitlangs.operators.packages.dependencies"):
             return module

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401  puts the checkout on the path
 
-from _terminal import arguments_of, import_tyro, preset_of, report, run, spelled_out, terminal_progress
+from _terminal import arguments_of, import_tyro, preset_of, report, run, spell_out, terminal_progress
 from fruitlangs.benchmarks.orchards import measure_each
 from fruitlangs.benchmarks.paper.pages import ablation_table, count_table, reconstruction_table
 from fruitlangs.benchmarks.paper.tables import SceneTables, measure_tables
@@ -94,7 +94,7 @@ def pages(measured: list[SceneTables], setting: str) -> str:
 
 def parse(given: list[str]) -> Arguments:
     """The arguments, or exit 2 with a usage message."""
-    given = spelled_out(given, "embed", EmbedConfig)
+    given = spell_out(given, "embed", EmbedConfig)
     preset = preset_of(given)
     missing: Any = tyro.MISSING
     default = Arguments(scenes=missing, out=missing, preset=preset, train=PRESETS[preset])

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import _checkout  # noqa: F401
 
-from _help import parsed
+from _help import parse_arguments
 from _terminal import arguments_of, import_tyro, run
 from fruitlangs.engine.errors import ConfigError, VocabularyError
 
@@ -141,7 +141,7 @@ def marks_of(arguments: Arguments, name: str, result: Result, ground: Ground) ->
 def parse() -> Arguments:
     """The arguments, or exit 2 with a usage message."""
     needed: Any = tyro.MISSING
-    arguments: Arguments = parsed(
+    arguments: Arguments = parse_arguments(
         Arguments, Arguments(result=needed, word=needed), arguments_of(__file__), __file__, EXAMPLE
     )
     return arguments

@@ -28,8 +28,8 @@ from fruitlangs.engine.splatting.rendering.agreement import compare_with_referen
 LIMIT = 1e-3
 
 
-def random_gaussians(n: int, degree: int, seed: int) -> Gaussians:
-    """Gaussians of many sizes, shapes and opacities around the origin."""
+def make_random_gaussians(n: int, degree: int, seed: int) -> Gaussians:
+    """Make Gaussians of many sizes, shapes and opacities around the origin."""
     import torch
 
     generator = torch.Generator().manual_seed(seed)
@@ -42,7 +42,7 @@ def random_gaussians(n: int, degree: int, seed: int) -> Gaussians:
     )
 
 
-def camera() -> Camera:
+def make_camera() -> Camera:
     pose = np.eye(4)
     pose[:3, :3] = [[math.cos(0.3), 0, math.sin(0.3)], [0, 1, 0], [-math.sin(0.3), 0, math.cos(0.3)]]
     pose[:3, 3] = [0.1, -0.2, 4.0]
@@ -61,8 +61,8 @@ def main() -> int:
     options = parser.parse_args()
     worst = 0.0
     for degree, antialiased in ((0, False), (1, False), (2, False), (3, False), (3, True)):
-        scene = replace(random_gaussians(options.gaussians, degree, options.seed), antialiased=antialiased)
-        errors = compare_with_reference(scene, camera(), seed=options.seed)
+        scene = replace(make_random_gaussians(options.gaussians, degree, options.seed), antialiased=antialiased)
+        errors = compare_with_reference(scene, make_camera(), seed=options.seed)
         if degree == 0:
             print("SH  " + "".join(f"{name:>18}" for name in errors))
         print(f"{degree:2}{'a ' if antialiased else '  '}" + "".join(f"{error:18.1e}" for error in errors.values()))

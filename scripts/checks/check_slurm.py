@@ -56,8 +56,8 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
 
 
-def missing_programs() -> list[str]:
-    """Programs of Slurm that this computer lacks; "root" if this process may not start them."""
+def find_missing_programs() -> list[str]:
+    """Find the programs of Slurm that this computer lacks; "root" if this process may not start them."""
     found = [name for name in PROGRAMS if shutil.which(name, path=f"{os.environ['PATH']}:/usr/sbin") is None]
     return found or ([] if os.geteuid() == 0 else ["root"])
 
@@ -66,32 +66,32 @@ class Node:
     """The only node of the cluster."""
 
     def __init__(self) -> None:
-        self.daemon = self._started()
+        self.daemon = self._start_daemon()
 
     def fail(self, folder: str) -> None:
         """Die with the workers of a block, without a word, and come back. folder: of the block."""
         self.end()
-        for pid in process_ids("cmdline", "--worker", folder):
+        for pid in find_processes("cmdline", "--worker", folder):
             with suppress(OSError):  # it has ended
                 os.kill(pid, signal.SIGKILL)
         time.sleep(3.0)
-        self.daemon = self._started()
+        self.daemon = self._start_daemon()
 
     def end(self) -> None:
         """End the daemon, and those of its jobs, which outlive it."""
         _end(self.daemon)
-        for pid in process_ids("environ", f"SLURM_CONF={os.environ['SLURM_CONF']}"):
+        for pid in find_processes("environ", f"SLURM_CONF={os.environ['SLURM_CONF']}"):
             with suppress(OSError):  # it has ended
                 if Path(f"/proc/{pid}/comm").read_text().strip() == "slurmstepd":
                     os.kill(pid, signal.SIGKILL)
 
     @staticmethod
-    def _started() -> subprocess.Popen[bytes]:
+    def _start_daemon() -> subprocess.Popen[bytes]:
         return subprocess.Popen(["slurmd", "-D"], stderr=subprocess.DEVNULL)
 
 
-def process_ids(file: str, *parts: str) -> list[int]:
-    """Processes whose command line ("cmdline") or environment ("environ") has all of these parts."""
+def find_processes(file: str, *parts: str) -> list[int]:
+    """Find the processes whose command line ("cmdline") or environment ("environ") has all of these parts."""
     found = []
     for each in Path("/proc").glob(f"[0-9]*/{file}"):
         with suppress(OSError):  # it has ended
@@ -106,8 +106,8 @@ def _end(daemon: subprocess.Popen[bytes]) -> None:
 
 
 @contextmanager
-def munge() -> Iterator[None]:
-    """A daemon of munge as long as the block runs, if none runs already."""
+def run_munge() -> Iterator[None]:
+    """Run a daemon of munge as long as the block runs, if none runs already."""
     if not subprocess.run(["munge", "-n"], capture_output=True, check=False).returncode:
         yield
         return
@@ -126,8 +126,8 @@ def munge() -> Iterator[None]:
 
 
 @contextmanager
-def cluster(folder: Path) -> Iterator[Node]:
-    """A Slurm of one node as long as the block runs; the commands find it by SLURM_CONF."""
+def run_cluster(folder: Path) -> Iterator[Node]:
+    """Run a Slurm of one node as long as the block runs; the commands find it by SLURM_CONF."""
     for name in ("state", "spool"):
         (folder / name).mkdir()
     config = folder / "slurm.conf"
@@ -135,7 +135,7 @@ def cluster(folder: Path) -> Iterator[Node]:
     config.write_text(CONFIG.format(host=host, folder=folder, cores=os.cpu_count()))
     os.environ["SLURM_CONF"] = str(config)
     os.environ["PATH"] += ":/usr/sbin"
-    with munge():
+    with run_munge():
         controller = subprocess.Popen(["slurmctld", "-D"], stderr=subprocess.DEVNULL)
         time.sleep(2.0)
         node = Node()
@@ -147,14 +147,14 @@ def cluster(folder: Path) -> Iterator[Node]:
             _end(controller)
 
 
-def jobs() -> list[str]:
-    """Numbers of the jobs that run."""
+def list_jobs() -> list[str]:
+    """List the numbers of the jobs that run."""
     listed = subprocess.run(["squeue", "-h", "-t", "R", "-o", "%A"], capture_output=True, text=True, check=True)
     return listed.stdout.split()
 
 
-def states(out: Path) -> dict[str, str]:
-    """{tree: state} as the driver last wrote it."""
+def read_states(out: Path) -> dict[str, str]:
+    """Read {tree: state} as the driver last wrote it."""
     try:
         trees = json.loads((out / "status.json").read_text())["trees"]
     except (OSError, ValueError):
@@ -169,9 +169,9 @@ def wait_for(out: Path, done: int) -> None:
         CountingError: that takes too long.
     """
     end = time.monotonic() + PATIENCE
-    while sum(stage == "done" for stage in states(out).values()) < done or not jobs():
+    while sum(stage == "done" for stage in read_states(out).values()) < done or not list_jobs():
         if time.monotonic() > end:
-            raise CountingError(f"After {PATIENCE:.0f} s less than {done} trees are done: {states(out)}")
+            raise CountingError(f"After {PATIENCE:.0f} s less than {done} trees are done: {read_states(out)}")
         time.sleep(1.0)
 
 
@@ -182,9 +182,9 @@ def main() -> None:
         ConfigError: Slurm is not installed.
         CountingError: a tree is lost or wrong.
     """
-    if lacking := missing_programs():
+    if lacking := find_missing_programs():
         raise ConfigError(f"This computer lacks {', '.join(lacking)}. As root: apt-get install slurm-wlm munge")
-    with tempfile.TemporaryDirectory(prefix="slurm-") as name, cluster(Path(name)) as node:
+    with tempfile.TemporaryDirectory(prefix="slurm-") as name, run_cluster(Path(name)) as node:
         folder, out = Path(name), Path(name) / "out"
         lines = [f"{k},{ROOT / 'examples' / 'orchard_tree'},apple" for k in range(TREES)]
         (folder / "orchard.csv").write_text("\n".join(["id,source,prompt", *lines, ""]))
@@ -205,15 +205,15 @@ def main() -> None:
         driver = subprocess.Popen([*command, *options])
         wait_for(out, 1)
         say("a job is killed")
-        subprocess.run(["scancel", "--signal=KILL", jobs()[0]], check=True)
+        subprocess.run(["scancel", "--signal=KILL", list_jobs()[0]], check=True)
         wait_for(out, 3)
         say("a job is requeued")
-        subprocess.run(["scontrol", "requeue", jobs()[0]], check=True)
+        subprocess.run(["scontrol", "requeue", list_jobs()[0]], check=True)
         wait_for(out, 5)
         say("the node dies and comes back")
         node.fail(str(out))
         code = driver.wait(PATIENCE)
-        found = states(out)
+        found = read_states(out)
         counts = {json.loads(each.read_text())["count"] for each in out.glob("trees/*/fruits.json")}
     if code or list(found.values()) != ["done"] * TREES or len(counts) != 1:
         raise CountingError(f"The driver ended with {code}, trees are {found}, counts {counts}")

@@ -81,24 +81,24 @@ class Kind:
     reader: Callable[[Path, Path], object]
 
 
-def _photos(folder: Path, _: Path) -> object:
+def _read_photos(folder: Path, _: Path) -> object:
     scene = read_scene(folder / "scene")
     return [photo.pixels() for photo in scene.images[:3]]
 
 
-def _checkpoint(folder: Path, path: Path) -> object:
+def _read_checkpoint(folder: Path, path: Path) -> object:
     return read_checkpoint(path, (folder / KEY).read_text(encoding="utf-8"))
 
 
-def _block(folder: Path, _: Path) -> object:
+def _read_block(folder: Path, _: Path) -> object:
     return publish_again(Ledger(folder / "block"))
 
 
 KINDS: Mapping[str, Kind] = {
     "COLMAP model": Kind(
-        ("scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin", "scene/sparse/0/points3D.bin"), _photos
+        ("scene/sparse/0/cameras.bin", "scene/sparse/0/images.bin", "scene/sparse/0/points3D.bin"), _read_photos
     ),
-    "photo": Kind((f"scene/images/{PHOTO}",), _photos),
+    "photo": Kind((f"scene/images/{PHOTO}",), _read_photos),
     "transforms.json": Kind(("frames/transforms.json",), lambda folder, _: read_scene(folder / "frames")),
     "video": Kind(("walk.mp4",), lambda folder, path: choose_stills(path, folder / "stills")),
     "manifest": Kind(("orchard.csv", "orchard.toml"), lambda _, path: read_manifest(path)),
@@ -109,7 +109,7 @@ KINDS: Mapping[str, Kind] = {
     "selection": Kind(("result/selection.safetensors",), lambda _, path: read_selection(path)),
     "cameras.json": Kind(("result/cameras.json",), lambda _, path: read_cameras(path)),
     "result": Kind(("result/fruits.json",), lambda folder, _: open_result(folder / "result")),
-    "checkpoint": Kind(("checkpoint.safetensors",), _checkpoint),
+    "checkpoint": Kind(("checkpoint.safetensors",), _read_checkpoint),
     "template": Kind(("template.ply",), lambda _, path: read_template(path)),
     "block": Kind(
         tuple(
@@ -123,7 +123,7 @@ KINDS: Mapping[str, Kind] = {
                 "orchard.json",
             )
         ),
-        _block,
+        _read_block,
     ),
     "truth": Kind((f"scene/{TRUTH}",), lambda _, path: read_truth(path)),
 }
@@ -146,19 +146,19 @@ def main(given: Sequence[str] | None = None) -> None:
         report("making valid files")
         make_valid(valid)
     if arguments.only is not None:
-        print(f"{described(arguments.only)}: {attempt(valid, arguments.seed, arguments.only, show=True)}")
+        print(f"{describe(arguments.only)}: {attempt(valid, arguments.seed, arguments.only, show=True)}")
         return
     for name, kind in KINDS.items():
         with tempfile.TemporaryDirectory(dir=valid.parent) as folder:
-            place = linked(valid, Path(folder) / "case")
+            place = link_files(valid, Path(folder) / "case")
             for file in kind.files:
                 report(f"{name}: {file} is read undamaged")
                 kind.reader(place, place / file)
     told, failed = Counter[tuple[str, str]](), []
-    for number, outcome in enumerate(outcomes(valid, arguments.seed, arguments.cases)):
-        told[described(number), outcome.partition(":")[0]] += 1
+    for number, outcome in enumerate(run_cases(valid, arguments.seed, arguments.cases)):
+        told[describe(number), outcome.partition(":")[0]] += 1
         if outcome not in ("read", "refused"):
-            failed.append(f"case {number}, {described(number)}: {outcome}")
+            failed.append(f"case {number}, {describe(number)}: {outcome}")
             report(failed[-1])
     for name in KINDS:
         print(f"{name:<16}" + "".join(f"{told[name, each]:>6} {each}" for each in ("read", "refused", "failed")))
@@ -166,17 +166,18 @@ def main(given: Sequence[str] | None = None) -> None:
         raise CountingError(f"{len(failed)} of {arguments.cases} cases failed. The first: {failed[0]}")
 
 
-def described(number: int) -> str:
-    """The kind of input of a case."""
+def describe(number: int) -> str:
+    """Describe the kind of input of a case."""
     return list(KINDS)[number % len(KINDS)]
 
 
-def outcomes(valid: Path, seed: int, cases: int) -> list[str]:
-    """What became of each case: `read`, `refused`, or `failed: REASON`; each runs in a child that a hang ends."""
+def run_cases(valid: Path, seed: int, cases: int) -> list[str]:
+    """Return what became of each case: `read`, `refused`, or `failed: REASON`; each runs in a child that a hang
+    ends."""
     context, found = multiprocessing.get_context("spawn"), list[str]()
     while len(found) < cases:
         ours, theirs = context.Pipe()
-        child = context.Process(target=_child, args=(theirs, valid, seed, len(found), cases), daemon=True)
+        child = context.Process(target=_run_child, args=(theirs, valid, seed, len(found), cases), daemon=True)
         child.start()
         theirs.close()
         try:
@@ -194,7 +195,7 @@ def outcomes(valid: Path, seed: int, cases: int) -> list[str]:
     return found
 
 
-def _child(answers: Connection, valid: Path, seed: int, first: int, cases: int) -> None:
+def _run_child(answers: Connection, valid: Path, seed: int, first: int, cases: int) -> None:
     """Run cases from `first` on."""
     for number in range(first, cases):
         answers.send(attempt(valid, seed, number))
@@ -202,16 +203,16 @@ def _child(answers: Connection, valid: Path, seed: int, first: int, cases: int) 
 
 def attempt(valid: Path, seed: int, number: int, *, show: bool = False) -> str:
     """Damage a file as the case says, and read it."""
-    random, kind = np.random.default_rng([seed, number]), KINDS[described(number)]
+    random, kind = np.random.default_rng([seed, number]), KINDS[describe(number)]
     name = kind.files[random.integers(len(kind.files))]
     with tempfile.TemporaryDirectory(dir=valid.parent) as folder:
         place = Path(folder) / "case"
-        path = linked(valid, place) / name
-        content = damaged(path.read_bytes(), random)
+        path = link_files(valid, place) / name
+        content = damage(path.read_bytes(), random)
         path.unlink()
         path.write_bytes(content)
         try:
-            with _limited(4 * path.stat().st_size + ROOM):
+            with _limit_memory(4 * path.stat().st_size + ROOM):
                 kind.reader(place, path)
         except FruitLangsError as error:
             text = str(error)
@@ -223,13 +224,13 @@ def attempt(valid: Path, seed: int, number: int, *, show: bool = False) -> str:
     return "read"
 
 
-def linked(valid: Path, place: Path) -> Path:
-    """A folder with links to all valid files."""
+def link_files(valid: Path, place: Path) -> Path:
+    """Make a folder with links to all valid files."""
     return Path(shutil.copytree(valid, place, symlinks=True, copy_function=os.link))
 
 
 @contextmanager
-def _limited(room: int) -> Iterator[None]:
+def _limit_memory(room: int) -> Iterator[None]:
     """Let this process use no more than `room` bytes of address space in addition to what it has."""
     used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
     most = resource.getrlimit(resource.RLIMIT_AS)[1]
@@ -240,8 +241,8 @@ def _limited(room: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
-def damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """The bytes with one to three kinds of damage."""
+def damage(data: bytes, random: np.random.Generator) -> bytes:
+    """Return the bytes with one to three kinds of damage."""
     for _ in range(random.integers(1, 4)):
         data = DAMAGES[random.integers(len(DAMAGES))](data, random)
     return data
@@ -258,24 +259,24 @@ def _cut(data: bytes, random: np.random.Generator) -> bytes:
     return data[: random.integers(0, len(data) + 1)]
 
 
-def _without(data: bytes, random: np.random.Generator) -> bytes:
+def _remove(data: bytes, random: np.random.Generator) -> bytes:
     first, last = np.sort(random.integers(0, len(data) + 1, 2))
     return data[:first] + data[min(last, first + 200) :]
 
 
-def _twice(data: bytes, random: np.random.Generator) -> bytes:
+def _repeat(data: bytes, random: np.random.Generator) -> bytes:
     first, last = np.sort(random.integers(0, len(data) + 1, 2))
     return data[:last] + data[first:last] + data[last:]
 
 
-def _filled(data: bytes, random: np.random.Generator) -> bytes:
+def _fill(data: bytes, random: np.random.Generator) -> bytes:
     place = int(random.integers(0, len(data) + 1))
     value = bytes([int(random.choice([0x00, 0xFF, 0x7F]))]) * int(random.integers(1, 16))
     return data[:place] + value + data[place + len(value) :]
 
 
-def _number(data: bytes, random: np.random.Generator) -> bytes:
-    """One number in the text of a file, replaced by a value that is out of place."""
+def _replace_number(data: bytes, random: np.random.Generator) -> bytes:
+    """Replace one number in the text of a file by a value that is out of place."""
     start = int(random.integers(0, len(data) + 1))
     found = re.search(rb"\d", data[start : start + 10_000])
     if found is None:
@@ -287,7 +288,7 @@ def _number(data: bytes, random: np.random.Generator) -> bytes:
     return data[:first] + odd[random.integers(len(odd))] + data[last:]
 
 
-DAMAGES = (_flip, _flip, _cut, _without, _twice, _filled, _number, _number)
+DAMAGES = (_flip, _flip, _cut, _remove, _repeat, _fill, _replace_number, _replace_number)
 
 
 def make_valid(valid: Path) -> None:
@@ -312,7 +313,7 @@ def make_valid(valid: Path) -> None:
     (valid / "orchard.csv").write_text("id;source;prompt;row\na;scene;apple;1\nb;frames;apple;2\n", encoding="utf-8")
     tree = '[[tree]]\nid = "a"\nsource = "scene"\nprompt = "apple"\n'
     (valid / "orchard.toml").write_text(f"{tree}[tree.settings]\n'train.steps' = 40\n", encoding="utf-8")
-    save_word(valid / "fig.fruitword", _word())
+    save_word(valid / "fig.fruitword", _make_word())
     trimesh.creation.icosphere(subdivisions=2).export(valid / "template.ply")
     count_scene(SAMPLE, ["apple"], valid / "result", config=SHORT)
     shutil.rmtree(valid / "result" / "cache")
@@ -346,7 +347,7 @@ def _write_block(valid: Path) -> None:
     publish_block(ledger, all_trees=40, density=900.0)
 
 
-def _word() -> TaughtWord:
+def _make_word() -> TaughtWord:
     random = np.random.default_rng(0)
     vectors = torch.from_numpy(random.normal(size=(6, 8))).half()
     return TaughtWord(

@@ -53,7 +53,7 @@ def main() -> None:
     print(f"{arguments.counts} counts in one process: memory grew by {growth:.1f} MB per 100 counts")
     if growth > GROWTH:
         raise CountingError(f"Memory grew by {growth:.1f} MB per 100 counts; at most {GROWTH:.0f} MB is allowed")
-    fruits = together(arguments.out, arguments.processes)
+    fruits = count_together(arguments.out, arguments.processes)
     print(f"{len(fruits)} processes at once with an empty cache: {len(fruits[0])} fruit in each")
     if any(each != fruits[0] for each in fruits):
         raise CountingError(f"Processes at once gave different fruit. See {arguments.out}/at-once-*")
@@ -80,8 +80,8 @@ def soak(out: Path, counts: int) -> float:
     return 100.0 * float(np.polyfit(np.arange(len(warm)), warm, 1)[0])
 
 
-def together(out: Path, processes: int) -> list[Sequence[object]]:
-    """The fruit that each of several processes counts at the same time."""
+def count_together(out: Path, processes: int) -> list[Sequence[object]]:
+    """Return the fruit that each of several processes counts at the same time."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(out / "kernels")}
     folders = [out / f"at-once-{number}" for number in range(processes)]
     running = [

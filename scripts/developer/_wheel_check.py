@@ -21,8 +21,10 @@ MARKERS = {
 """{sys.platform: platform_system, platform_machine and os_name, as requirements ask for them}."""
 
 
-def misfits(wheels: Sequence[Path], *, python: str, numpy: str, system: str, platforms: Sequence[str]) -> list[str]:
-    """A line for each wheel that is for another Python or platform, and for each requirement that nothing meets.
+def find_misfits(
+    wheels: Sequence[Path], *, python: str, numpy: str, system: str, platforms: Sequence[str]
+) -> list[str]:
+    """Return a line for each wheel that is for another Python or platform, and for each requirement that nothing meets.
 
     python: Blender's, '3.11'; numpy: the version that Blender has; system: as in `sys.platform`; platforms: tags of
     wheels that the platform takes.
@@ -30,16 +32,16 @@ def misfits(wheels: Sequence[Path], *, python: str, numpy: str, system: str, pla
     named = {path: parse_wheel_filename(path.name) for path in wheels}
     versions = {name: version for name, version, _, _ in named.values()}
     versions[canonicalize_name("numpy")] = Version(numpy)
-    supported = _supported(python, system, platforms)
+    supported = _list_supported(python, system, platforms)
     lines = [
         f"{path.name} is for another Python or platform" for path, (*_, tags) in named.items() if not tags & supported
     ]
     for path in wheels:
-        lines += [f"{path.name} needs {need}" for need in _unmet(path, versions, python, system)]
+        lines += [f"{path.name} needs {need}" for need in _find_unmet(path, versions, python, system)]
     return lines
 
 
-def _supported(python: str, system: str, platforms: Sequence[str]) -> set[Tag]:
+def _list_supported(python: str, system: str, platforms: Sequence[str]) -> set[Tag]:
     major, minor = map(int, python.split("."))
     known = list(platforms)
     if system == "darwin":
@@ -49,8 +51,8 @@ def _supported(python: str, system: str, platforms: Sequence[str]) -> set[Tag]:
     return {*cpython_tags((major, minor), [own], known), *compatible_tags((major, minor), own, known)}
 
 
-def _unmet(path: Path, versions: Mapping[NormalizedName, Version], python: str, system: str) -> Iterator[str]:
-    """What a wheel needs and neither Blender nor another wheel has."""
+def _find_unmet(path: Path, versions: Mapping[NormalizedName, Version], python: str, system: str) -> Iterator[str]:
+    """Find what a wheel needs and neither Blender nor another wheel has."""
     with zipfile.ZipFile(path) as archive:
         name = next(name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
         metadata = HeaderParser().parsestr(archive.read(name).decode())

@@ -40,8 +40,8 @@ def play(actions: Generator[float, None, int | None]) -> None:
     bpy.app.timers.register(tick, first_interval=1.5, persistent=True)
 
 
-def viewport() -> tuple[bpy.types.Window, bpy.types.Area]:
-    """The first window and its 3D viewport."""
+def find_viewport() -> tuple[bpy.types.Window, bpy.types.Area]:
+    """Find the first window and its 3D viewport."""
     window = bpy.context.window_manager.windows[0]
     return window, next(area for area in window.screen.areas if area.type == "VIEW_3D")
 
@@ -54,7 +54,7 @@ def open_panel() -> Iterator[float]:
     """Register this checkout's add-on in an empty file and open its tab in the sidebar."""
     fruitlangs.register()
     bpy.data.batch_remove(list(bpy.data.objects))
-    _, area = viewport()
+    _, area = find_viewport()
     area.spaces.active.show_region_ui = True
     sidebar = region_of(area, "UI")
     for _ in range(TRIES):  # it accepts no tab before it was drawn for the first time

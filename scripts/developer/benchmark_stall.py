@@ -24,7 +24,7 @@ import _checkout  # noqa: F401
 import bpy
 import numpy as np
 
-from _window import arguments_of, open_panel, play, region_of, viewport
+from _window import arguments_of, find_viewport, open_panel, play, region_of
 
 TICK = 0.01
 JOBS = ("import", "reconstruct", "count")
@@ -63,7 +63,7 @@ class Gaps:
         self.last = now
         return TICK
 
-    def table(self) -> str:
+    def format_table(self) -> str:
         """In Markdown, milliseconds."""
         rows = ["| while | seconds | middle ms | 99 % ms | longest ms |", "|---|---|---|---|---|"]
         for name, gaps in self.found.items():
@@ -93,7 +93,7 @@ def visit(arguments: argparse.Namespace, gaps: Gaps) -> Generator[float, None, N
         return window.scene.fruitlangs
 
     yield from open_panel()
-    window, area = viewport()
+    window, area = find_viewport()
     region = region_of(area, "WINDOW")
     settings().source, settings().prompt = str(arguments.scene.resolve()), arguments.prompt
     settings().out = str(Path(tempfile.mkdtemp()) / "result")
@@ -105,7 +105,7 @@ def visit(arguments: argparse.Namespace, gaps: Gaps) -> Generator[float, None, N
     yield from work("import_scene", "import")
     yield from work("reconstruct", "reconstruct")
     yield from work("count", "count")
-    print(gaps.table(), flush=True)
+    print(gaps.format_table(), flush=True)
 
 
 if __name__ == "__main__":

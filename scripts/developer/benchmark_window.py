@@ -28,7 +28,7 @@ import numpy as np
 from mathutils import Quaternion
 
 import fruitlangs
-from _window import arguments_of, play, viewport
+from _window import arguments_of, find_viewport, play
 
 COUNTS = (20_000, 100_000, 500_000)
 ATTRIBUTES = ("position", "scale", "quaternion", "radiance:base", "opacity", "probability", "fruit_id")
@@ -63,8 +63,9 @@ def parse() -> argparse.Namespace:
     return parser.parse_args(arguments_of())
 
 
-def tree(count: int) -> Any:
-    """Engine Gaussians similar to a tree: a crown of flat leaves 2 m wide on a trunk, fruit among them, and ground."""
+def make_tree(count: int) -> Any:
+    """Make engine Gaussians similar to a tree: a crown of flat leaves 2 m wide on a trunk, fruit among them, and
+    ground."""
     import torch
 
     from fruitlangs.engine.splatting.gaussians import Gaussians, harmonics_of, logit
@@ -88,8 +89,8 @@ def tree(count: int) -> Any:
     )
 
 
-def seconds(action: Callable[[], Any], repeats: int) -> float:
-    """Median duration of an action."""
+def time_action(action: Callable[[], Any], repeats: int) -> float:
+    """Measure the median duration of an action."""
     found = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -118,12 +119,12 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     yield 0.5
     bpy.data.batch_remove(list(bpy.data.objects))
     bpy_scene = bpy.context.scene
-    _, area = viewport()
+    _, area = find_viewport()
     view = area.spaces.active.region_3d
     view.view_location, view.view_distance = (0.0, 0.0, 1.2), 6.0
     random = np.random.default_rng(1)
     answers = [random.uniform(0, 1, count).astype(np.float32) ** 4 for _ in range(2)]
-    gaussians = tree(count)
+    gaussians = make_tree(count)
 
     start = time.perf_counter()
     mesh = make_gaussian_mesh(gaussians, answers[0], ())
@@ -132,11 +133,11 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     item.modifiers.new("Gaussians", "NODES").node_group = gaussian_node_group()
     settings = bpy_scene.fruitlangs
 
-    def redraws(style: str) -> float:
+    def time_redraws(style: str) -> float:
         settings.look.style = style
         apply_appearance(bpy_scene)
         redraw()
-        return seconds(redraw, repeats)
+        return time_action(redraw, repeats)
 
     def turn() -> None:
         view.view_rotation = view.view_rotation @ Quaternion((0.0, 1.0, 0.0), np.radians(1.0))
@@ -153,21 +154,21 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
         assert splats is not None
         return SplatTextures(splats, (0.0, 0.0, 0.0), 1e9)
 
-    empty = redraws("NONE")
-    splats = redraws("SPLATS")
+    empty = time_redraws("NONE")
+    splats = time_redraws("SPLATS")
     if splat_drawing.explain_problem():
         raise RuntimeError(splat_drawing.explain_problem())
-    turning = seconds(turn, repeats)
-    highlight = seconds(answer, repeats)
-    ellipsoids = redraws("ELLIPSOIDS")
+    turning = time_action(turn, repeats)
+    highlight = time_action(answer, repeats)
+    ellipsoids = time_redraws("ELLIPSOIDS")
     settings.look.style = "SPLATS"
 
     values = splats_of_mesh(mesh)
     assert values is not None
     order = sort_back_to_front(values.means, (1.0, 2.0, 3.0))
-    read = seconds(read_mesh, repeats)
-    sorting = seconds(lambda: sort_back_to_front(values.means, random.normal(size=3).tolist()), repeats)
-    upload = seconds(lambda: make_order_texture(order), repeats)
+    read = time_action(read_mesh, repeats)
+    sorting = time_action(lambda: sort_back_to_front(values.means, random.normal(size=3).tolist()), repeats)
+    upload = time_action(lambda: make_order_texture(order), repeats)
 
     before = {name: get_attribute(mesh, name) for name in ATTRIBUTES}
     file = folder / f"{count}.blend"
@@ -192,16 +193,16 @@ def measure(count: int, repeats: int, folder: Path) -> Iterator[float | Row]:
     )
 
 
-def table(rows: list[Row]) -> str:
-    """The rows in Markdown."""
+def format_table(rows: list[Row]) -> str:
+    """Write the rows in Markdown."""
     names = list(asdict(rows[0]))
     lines = [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
     for row in rows:
-        lines.append(f"| {' | '.join(cell(value) for value in asdict(row).values())} |")
+        lines.append(f"| {' | '.join(format_cell(value) for value in asdict(row).values())} |")
     return "\n".join(lines)
 
 
-def cell(value: bool | int | float) -> str:
+def format_cell(value: bool | int | float) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.3g}" if isinstance(value, float) else f"{value:,}"
@@ -218,7 +219,7 @@ def visit(arguments: argparse.Namespace) -> Generator[float, None, None]:
                     rows.append(step)
                 else:
                     yield step
-    print(table(rows), flush=True)
+    print(format_table(rows), flush=True)
     if arguments.out is not None:
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         text = json.dumps({"blender": bpy.app.version_string, "rows": [asdict(row) for row in rows]}, indent=1)

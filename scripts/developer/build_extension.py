@@ -95,7 +95,7 @@ def build(out: Path) -> Path:
     """The small zip: for every platform and every Blender from the manifest's on, without wheels."""
     manifest = read_manifest()
     path = out / f"{manifest['id']}-{manifest['version']}.zip"
-    pack(path, own_files(manifest))
+    pack(path, list_own_files(manifest))
     return path
 
 
@@ -106,12 +106,12 @@ def build_with_wheels(out: Path, series: BlenderSeries, platform: Platform) -> P
         BuildError: a wheel cannot be had.
     """
     manifest = read_manifest()
-    wheels = wheel_files(out / "wheels" / f"{platform.name}-python{series.python}", series, platform)
+    wheels = find_wheel_files(out / "wheels" / f"{platform.name}-python{series.python}", series, platform)
     files: dict[str, Path | bytes] = {f"wheels/{wheel.name}": wheel for wheel in wheels}
     text = (ROOT / MANIFEST).read_text(encoding="utf-8")
     files[MANIFEST] = manifest_with_wheels(text, [*files], series, platform.name).encode()
     path = out / f"{manifest['id']}-{manifest['version']}-blender{series.name}-{platform.name}.zip"
-    pack(path, own_files(manifest) | files)
+    pack(path, list_own_files(manifest) | files)
     return path
 
 
@@ -119,9 +119,9 @@ def read_manifest() -> dict:
     return tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))
 
 
-def own_files(manifest: Mapping) -> dict[str, Path | bytes]:
-    """{name in the zip: file} of this project's own."""
-    found = included_files(ROOT, manifest["build"]["paths_exclude_pattern"])
+def list_own_files(manifest: Mapping) -> dict[str, Path | bytes]:
+    """List {name in the zip: file} of this project's own."""
+    found = list_included_files(ROOT, manifest["build"]["paths_exclude_pattern"])
     return {file.relative_to(ROOT).as_posix(): file for file in [*found, ROOT / MANIFEST]}
 
 
@@ -137,14 +137,14 @@ def manifest_with_wheels(text: str, wheels: Sequence[str], series: BlenderSeries
     return head.rstrip("\n") + "\n" + "\n".join(lines) + "\n" + table + tail
 
 
-def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list[Path]:
-    """One wheel per package and version, sorted; missing ones are downloaded to `folder` by pip.
+def find_wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list[Path]:
+    """Find one wheel per package and version, sorted; missing ones are downloaded to `folder` by pip.
 
     Raises:
         BuildError: pip cannot get one, or one does not fit this Blender or the others.
     """
     versions = versions_for(series.numpy, platform.python)
-    absent = [name for name, version in versions.items() if _wheel(folder, name, version) is None]
+    absent = [name for name, version in versions.items() if _find_wheel(folder, name, version) is None]
     pins = {name: f"{name}=={versions[name]}" for name in absent}
     torch = [pins.pop("torch")] if "torch" in pins else []
     done = not pins or _download(folder, list(pins.values()), series, platform)
@@ -152,12 +152,14 @@ def wheel_files(folder: Path, series: BlenderSeries, platform: Platform) -> list
     done &= not torch or any(_download(folder, torch, series, platform, *more) for more in ((), _CPU_SOURCE))
     if not done:
         raise BuildError(f"pip cannot get all wheels for Blender {series.name} on {platform.name}. It says why above")
-    wheels = [_wheel(folder, name, version) for name, version in versions.items()]
-    assert not [wheel for wheel in wheels if wheel is None or _package(wheel) in NEVER]
-    from _wheel_check import misfits  # needs a package, which the small zip does not
+    wheels = [_find_wheel(folder, name, version) for name, version in versions.items()]
+    assert not [wheel for wheel in wheels if wheel is None or _parse_package(wheel) in NEVER]
+    from _wheel_check import find_misfits  # needs a package, which the small zip does not
 
     chosen = sorted(wheel for wheel in wheels if wheel is not None)
-    wrong = misfits(chosen, python=series.python, numpy=series.numpy, system=platform.python, platforms=platform.tags)
+    wrong = find_misfits(
+        chosen, python=series.python, numpy=series.numpy, system=platform.python, platforms=platform.tags
+    )
     if wrong:
         raise BuildError(f"The wheels for Blender {series.name} on {platform.name} do not fit: {'; '.join(wrong)}")
     return chosen
@@ -174,14 +176,16 @@ def _download(folder: Path, pins: list[str], series: BlenderSeries, platform: Pl
     return subprocess.run([*command, *pins]).returncode == 0
 
 
-def _wheel(folder: Path, name: str, version: str) -> Path | None:
-    """The wheel of a package and version in a folder."""
-    found = [path for path in folder.glob("*.whl") if (_package(path), path.name.split("-")[1]) == (name, version)]
+def _find_wheel(folder: Path, name: str, version: str) -> Path | None:
+    """Find the wheel of a package and version in a folder."""
+    found = [
+        path for path in folder.glob("*.whl") if (_parse_package(path), path.name.split("-")[1]) == (name, version)
+    ]
     return found[0] if found else None
 
 
-def _package(wheel: Path) -> str:
-    """The pip package that a wheel's file name begins with."""
+def _parse_package(wheel: Path) -> str:
+    """Return the pip package that a wheel's file name begins with."""
     return re.sub(r"[-_.]+", "-", wheel.name.split("-")[0]).lower()
 
 
@@ -215,24 +219,24 @@ def contents_table(path: Path) -> str:
     return "\n".join(lines + [f"  {size / 1e6:8.2f} MB  {row}" for row, size in rows])
 
 
-def included_files(root: Path, patterns: list[str]) -> list[Path]:
-    """Files below `root` that the patterns do not exclude, sorted. Excluded folders are not entered, links are not
-    followed: Blender does the same."""
+def list_included_files(root: Path, patterns: list[str]) -> list[Path]:
+    """List the files below `root` that the patterns do not exclude, sorted. Excluded folders are not entered, links are
+    not followed: Blender does the same."""
     files = []
     for path in sorted(root.iterdir()):
-        files += _included(path, root, patterns)
+        files += _list_included(path, root, patterns)
     return files
 
 
-def _included(path: Path, root: Path, patterns: list[str]) -> list[Path]:
-    if path.is_symlink() or excluded(path.relative_to(root).as_posix(), path.is_dir(), patterns):
+def _list_included(path: Path, root: Path, patterns: list[str]) -> list[Path]:
+    if path.is_symlink() or is_excluded(path.relative_to(root).as_posix(), path.is_dir(), patterns):
         return []
     if path.is_dir():
-        return [file for child in sorted(path.iterdir()) for file in _included(child, root, patterns)]
+        return [file for child in sorted(path.iterdir()) for file in _list_included(child, root, patterns)]
     return [path]
 
 
-def excluded(relative: str, is_folder: bool, patterns: Sequence[str]) -> bool:
+def is_excluded(relative: str, is_folder: bool, patterns: Sequence[str]) -> bool:
     """Whether a path is left out: a pattern matches it, and none that begins with ! does, wherever it stands."""
     kept = any(matches(pattern[1:], relative, is_folder) for pattern in patterns if pattern.startswith("!"))
     return not kept and any(matches(pattern, relative, is_folder) for pattern in patterns if pattern[:1] != "!")

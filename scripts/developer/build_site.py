@@ -90,11 +90,11 @@ def collect_pages(pages: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, target)
         if path.suffix == ".md":
-            waiting += linked_files(path)
+            waiting += find_linked_files(path)
 
 
-def linked_files(page: Path) -> Iterator[Path]:
-    """The files of the repository that a page links to."""
+def find_linked_files(page: Path) -> Iterator[Path]:
+    """Find the files of the repository that a page links to."""
     for link in LINK.findall(page.read_text(encoding="utf-8")):
         if "://" not in link:
             path = (page.parent / link).resolve()

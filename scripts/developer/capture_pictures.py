@@ -56,22 +56,22 @@ class Shot:
     change: Callable[[Pixels], Pixels] | None = None
 
 
-def darker(pixels: Pixels) -> Pixels:
-    """A third of the light."""
+def darken(pixels: Pixels) -> Pixels:
+    """Keep a third of the light."""
     return np.rint(255 * from_linear(to_linear(pixels / 255.0) / 3.0)).astype(np.uint8)
 
 
-def moved(pixels: Pixels) -> Pixels:
+def shake(pixels: Pixels) -> Pixels:
     return shaken(pixels, np.array([14.0, 5.0]))
 
 
 GOOD = [Shot(angle=STEP * number) for number in range(6)]
 BAD = [
     Shot(angle=0.0),
-    Shot(angle=STEP, fault="blurred", change=moved),
+    Shot(angle=STEP, fault="blurred", change=shake),
     Shot(angle=2 * STEP),
     Shot(angle=2 * STEP + 75.0, fault="after a gap"),
-    Shot(angle=3 * STEP + 75.0, fault="exposure jump", change=darker),
+    Shot(angle=3 * STEP + 75.0, fault="exposure jump", change=darken),
     Shot(angle=4 * STEP + 75.0, fault="too close", distance=0.5),
 ]
 GAPS = {"good": [], "bad": [(2 * STEP, 2 * STEP + 75.0)]}
@@ -89,8 +89,8 @@ def viewpoint(orchard: Orchard, shot: Shot) -> Viewpoint:
     return Viewpoint(name="shot", focal=focal, width=width, height=height, world_to_camera=look_at(position, middle))
 
 
-def from_above(orchard: Orchard) -> Viewpoint:
-    """A view straight down that contains all positions."""
+def look_from_above(orchard: Orchard) -> Viewpoint:
+    """Return a view straight down that contains all positions."""
     middle, usual = orchard.place.crown.mean(axis=0), 1.15 * distance_from_row(orchard.species, orchard.place)
     height, side = 8.0 * usual, SCALE * PLAN
     above = middle + [0.0, -1e-3, height]  # a little to the south: north is up
@@ -103,8 +103,8 @@ def draw_walk(
 ) -> Image.Image:
     """The positions from above, and the photos with their numbers."""
     page = Image.new("RGB", (PLAN + 3 * (PHOTO[0] + MARGIN) + 2 * MARGIN, PLAN + 2 * MARGIN + TEXT), PAPER)
-    plan = from_above(orchard)
-    page.paste(_positions(render(plan), plan, orchard, name, shots), (MARGIN, MARGIN))
+    plan = look_from_above(orchard)
+    page.paste(_draw_positions(render(plan), plan, orchard, name, shots), (MARGIN, MARGIN))
     canvas, font = ImageDraw.Draw(page), ImageFont.load_default(size=15)
     for number, shot in enumerate(shots):
         row, column = divmod(number, 3)
@@ -120,8 +120,10 @@ def draw_walk(
     return page
 
 
-def _positions(ground: Image.Image, plan: Viewpoint, orchard: Orchard, name: str, shots: Sequence[Shot]) -> Image.Image:
-    """The view from above with a dot per photo of the walk; those shown are numbered."""
+def _draw_positions(
+    ground: Image.Image, plan: Viewpoint, orchard: Orchard, name: str, shots: Sequence[Shot]
+) -> Image.Image:
+    """Draw the view from above with a dot per photo of the walk; those shown are numbered."""
     canvas, font = ImageDraw.Draw(ground), ImageFont.load_default(size=13 * SCALE)
 
     def place(shot: Shot) -> tuple[float, float]:

@@ -77,7 +77,7 @@ def main(options: Options) -> None:
         return
     chosen = {name: all_settings[name] for name in options.settings or all_settings}
     crowns = list(simulated_crowns(chosen, range(options.first, options.first + options.seeds)))
-    print(compared(crowns, chosen_methods(options), options.out, options.along or "counting"))
+    print(compare(crowns, choose_methods(options), options.out, options.along or "counting"))
 
 
 def compare_on_scenes(options: Options) -> None:
@@ -86,17 +86,17 @@ def compare_on_scenes(options: Options) -> None:
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
     for stage in (COUNTING_ONLY, TRUE_MASKS):
         crowns = [scene_crown(folder, options.out / folder.name, stage, Config()) for folder in folders]
-        print(f"{stage}\n\n{compared(crowns, chosen_methods(options), options.out, stage)}\n")
+        print(f"{stage}\n\n{compare(crowns, choose_methods(options), options.out, stage)}\n")
 
 
-def chosen_methods(options: Options) -> Methods:
-    """The named ones, in the order of all."""
+def choose_methods(options: Options) -> Methods:
+    """Choose the named ones, in the order of all."""
     return {name: count for name, count in METHODS.items() if name in options.methods or not options.methods}
 
 
-def compared(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: str) -> str:
-    """The page of the methods on the crowns; OUT/NAME.csv and OUT/NAME.md are written after each."""
-    kept = {_place(trial): trial for trial in (read_trials(out / f"{name}.csv") if out else ())}
+def compare(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: str) -> str:
+    """Return the page of the methods on the crowns; OUT/NAME.csv and OUT/NAME.md are written after each."""
+    kept = {_key(trial): trial for trial in (read_trials(out / f"{name}.csv") if out else ())}
     progress, trials = terminal_progress(), list[Trial]()
     for number, crown in enumerate(crowns):
         own = [kept.get((crown.setting, crown.seed, method)) for method in methods]
@@ -104,7 +104,7 @@ def compared(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: 
         if len(known) < len(methods):
             progress(number / len(crowns), f"{crown.setting}, seed {crown.seed}")
             known = crown.counted(methods)
-            kept |= {_place(trial): trial for trial in known}
+            kept |= {_key(trial): trial for trial in known}
         trials += known
         if out is not None:
             write_text(out / f"{name}.csv", trials_csv(list(kept.values())))
@@ -113,7 +113,7 @@ def compared(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: 
     return counting_page(trials)
 
 
-def _place(trial: Trial) -> tuple[str, int, str]:
+def _key(trial: Trial) -> tuple[str, int, str]:
     return trial.setting, trial.seed, trial.method
 
 

@@ -78,14 +78,14 @@ def main(options: Options) -> None:
     crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
     rendered = (rendered_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
     cases = itertools.chain(crowns, *rendered)
-    examples = [found for case in cases for found in example(case)]
+    examples = [found for case in cases for found in make_example(case)]
     print(table(examples))
     document = {**fit(examples).document(), "fitted on": sorted({example.family for example in examples})}
     write_text(options.out, json.dumps(document, indent=1) + "\n")
 
 
-def example(case: Case) -> Iterator[Example]:
-    """The candidates of a scene; none if no part of it is round."""
+def make_example(case: Case) -> Iterator[Example]:
+    """Return the candidates of a scene; none if no part of it is round."""
     result = searched(case)
     if result is None:
         return
@@ -110,14 +110,16 @@ def fit(examples: Sequence[Example]) -> Gate:
     rows, columns = np.triu_indices(n)
     x = scaler.transform(cut)
     products = np.concatenate([x, x[:, rows] * x[:, columns]], axis=1)
-    model = LogisticRegression(C=REGULARISATION, max_iter=5000).fit(products, fruit, sample_weight=_shares(examples))
+    model = LogisticRegression(C=REGULARISATION, max_iter=5000).fit(
+        products, fruit, sample_weight=_weigh_examples(examples)
+    )
     quadratic = np.zeros((n, n))
     quadratic[rows, columns] = model.coef_[0, n:]
     return Gate(low, high, scaler.mean_, scaler.scale_, model.coef_[0, :n], quadratic, float(model.intercept_[0]))
 
 
-def _shares(examples: Sequence[Example]) -> FloatArray:
-    """(C,) weights of all candidates, with a mean of 1."""
+def _weigh_examples(examples: Sequence[Example]) -> FloatArray:
+    """Return the weights (C,) of all candidates, with a mean of 1."""
     sizes, families = dict[str, int](), dict[bool, set[str]]()
     for example in examples:
         sizes[example.kind] = sizes.get(example.kind, 0) + len(example.fruit)
@@ -133,13 +135,13 @@ def table(examples: Sequence[Example]) -> str:
     gates = {family: fit([example for example in examples if example.family != family]) for family in families}
     lines = [["scene", "scenes", "precision", "recall", "F1", "sum of probabilities / fruit"]]
     for kind in dict.fromkeys(example.kind for example in examples):
-        rows = [judged(example, gates[example.family]) for example in examples if example.kind == kind]
+        rows = [judge_example(example, gates[example.family]) for example in examples if example.kind == kind]
         lines.append([kind, str(len(rows)), *(f"{value:.3f}" for value in np.mean(rows, axis=0))])
     return markdown(lines)
 
 
-def judged(example: Example, gate: Gate) -> tuple[float, float, float, float]:
-    """Precision, recall, F1, and the sum of probabilities per fruit among the candidates."""
+def judge_example(example: Example, gate: Gate) -> tuple[float, float, float, float]:
+    """Return precision, recall, F1, and the sum of probabilities per fruit among the candidates."""
     probabilities = gate.probabilities(
         {**dict(zip(WEIGHED, example.features.T, strict=True)), "surest": example.surest}
     )

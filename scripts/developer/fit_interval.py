@@ -97,15 +97,15 @@ def main(options: Options) -> None:
     earlier = read_examples(options.examples)
     if options.stored and not earlier:
         raise ConfigError(f"{options.examples} has no examples. Leave out --stored to search scenes")
-    examples = earlier if options.stored else searched_examples(options)
-    fitted = {part: fitted_part(examples, photos) for part, photos in ((ALONE, False), (WITH_PHOTOS, True))}
+    examples = earlier if options.stored else search_examples(options)
+    fitted = {part: fit_part(examples, photos) for part, photos in ((ALONE, False), (WITH_PHOTOS, True))}
     if options.stored:
         return
     write_examples(merged_examples(earlier, examples), options.examples)
     document = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
     document.update({part: each for part, each in fitted.items() if each})
     write_text(options.out, json.dumps(document, indent=1) + "\n")
-    unseen = [found for case in drawn_cases(0, options.test_seeds) for found in example(case)]
+    unseen = [found for case in sample_cases(0, options.test_seeds) for found in make_example(case)]
     for name, truth in TRUTHS.items():
         if unseen:
             ratio = Ratio.read(document[ALONE][name])
@@ -113,9 +113,9 @@ def main(options: Options) -> None:
             print(f"{name}: the interval holds the truth in {held:.0%} of {len(unseen)} crowns of unseen settings")
 
 
-def fitted_part(examples: Sequence[Example], photos: bool) -> dict[str, Any]:
-    """The part of interval.json for scenes whose fruit were searched in photos, or not; empty without examples. Prints
-    the coverages."""
+def fit_part(examples: Sequence[Example], photos: bool) -> dict[str, Any]:
+    """Fit the part of interval.json for scenes whose fruit were searched in photos, or not; empty without examples.
+    Prints the coverages."""
     chosen = [each for each in examples if each.evidence.photos == photos]
     if not chosen:
         return {}
@@ -125,23 +125,23 @@ def fitted_part(examples: Sequence[Example], photos: bool) -> dict[str, Any]:
     return {**ratios, "fitted on": sorted({each.family for each in chosen})}
 
 
-def searched_examples(options: Options) -> list[Example]:
-    """Simulated crowns and rendered trees, searched for fruit."""
+def search_examples(options: Options) -> list[Example]:
+    """Search simulated crowns and rendered trees for fruit."""
     named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
-    drawn = drawn_cases(options.first + 1000, options.drawn)
+    drawn = sample_cases(options.first + 1000, options.drawn)
     rendered = (rendered_cases(options.renders), halved_cases(options.renders)) if options.renders else ()
     cases = itertools.chain(named, drawn, *rendered)
-    return [found for case in cases for found in example(case)]
+    return [found for case in cases for found in make_example(case)]
 
 
-def drawn_cases(first: int, number: int) -> itertools.chain[Case]:
-    """One crown for each of this many random settings."""
+def sample_cases(first: int, number: int) -> itertools.chain[Case]:
+    """Generate one crown for each of this many random settings."""
     seeds = range(first, first + number)
     return itertools.chain.from_iterable(crown_cases({"drawn": any_setting(seed)}, [seed]) for seed in seeds)
 
 
-def example(case: Case) -> list[Example]:
-    """The evidence of a scene; none if no part of it is round."""
+def make_example(case: Case) -> list[Example]:
+    """Return the evidence of a scene; none if no part of it is round."""
     result = searched(case)
     if result is None:
         return []
@@ -157,26 +157,26 @@ def example(case: Case) -> list[Example]:
 def fit(examples: Sequence[Example], truth: Truth) -> tuple[Ratio, dict[str, Ratio]]:
     """The ratio, and by family the ratio that was fitted and stretched without it."""
     families = sorted({example.family for example in examples})
-    without = {family: stretched(_others(examples, family), truth) for family in families}
-    return stretched(examples, truth), without
+    without = {family: fit_stretched(_select_others(examples, family), truth) for family in families}
+    return fit_stretched(examples, truth), without
 
 
-def stretched(examples: Sequence[Example], truth: Truth) -> Ratio:
-    """The ratio of maximum likelihood; crowns and rendered trees have the same weight.
+def fit_stretched(examples: Sequence[Example], truth: Truth) -> Ratio:
+    """Fit the ratio of maximum likelihood; crowns and rendered trees have the same weight.
 
     It is stretched until nine tenths of the examples are covered, each by a ratio fitted without its family, with
     separate stretches for true surfaces and trained scenes.
     """
     families = sorted({example.family for example in examples})
-    without = {family: _fit(_others(examples, family), truth) for family in families}
-    needed = np.array([_needed(without[e.family], e, truth(e)) for e in examples])
+    without = {family: _fit(_select_others(examples, family), truth) for family in families}
+    needed = np.array([_find_needed_stretch(without[e.family], e, truth(e)) for e in examples])
     trained = np.array([e.evidence.faint > TRAINED / 2.0 for e in examples])
     parts = [needed[part] if part.sum() >= FEWEST else needed for part in (~trained, trained)]
     stretches = np.array([np.quantile(part, COVERAGE, method="higher") for part in parts])
     return replace(_fit(examples, truth), stretches=stretches)
 
 
-def _others(examples: Sequence[Example], family: str) -> list[Example]:
+def _select_others(examples: Sequence[Example], family: str) -> list[Example]:
     return [example for example in examples if example.family != family]
 
 
@@ -185,7 +185,7 @@ def _fit(examples: Sequence[Example], truth: Truth) -> Ratio:
     loss = Loss.of(examples, truth)
     bounds = [(-0.5, 0.5), *[(0.0, 2.0)] * n, (-5.0, 0.0), *[(0.0, 3.0)] * n]
     starts = [np.array([0.0, *[0.1] * n, np.log(0.03), *[slope] * n]) for slope in (0.03, 0.2)]
-    found = [minimize(loss.with_gradient, start, jac=True, bounds=bounds) for start in starts]
+    found = [minimize(loss.compute_with_gradient, start, jac=True, bounds=bounds) for start in starts]
     x = min(found, key=lambda each: each.fun).x
     return Ratio(float(x[0]), x[1 : n + 1], float(np.exp(x[n + 1])), x[n + 2 :], np.ones(2))
 
@@ -206,10 +206,10 @@ class Loss:
             covariates=np.array([e.evidence.covariates for e in examples]),
             variance_share=np.array([e.evidence.variance / max(e.evidence.expected, 1.0) ** 2 for e in examples]),
             log_ratios=np.array([_log_ratio(e, truth(e)) for e in examples]),
-            importance=_weights(examples),
+            importance=_weigh_examples(examples),
         )
 
-    def with_gradient(self, x: FloatArray) -> tuple[float, FloatArray]:
+    def compute_with_gradient(self, x: FloatArray) -> tuple[float, FloatArray]:
         n = len(COVARIATES)
         weights, log_floor, slopes = x[1 : n + 1], x[n + 1], x[n + 2 :]
         errors = self.log_ratios - x[0] - self.covariates @ weights
@@ -232,15 +232,15 @@ def _log_ratio(example: Example, truth: int) -> float:
     return float(np.log(max(truth, 0.5) / example.evidence.expected))
 
 
-def _needed(ratio: Ratio, example: Example, truth: int) -> float:
-    """The stretch at which the interval, half a fruit wider at either end, just covers the truth."""
+def _find_needed_stretch(ratio: Ratio, example: Example, truth: int) -> float:
+    """Find the stretch at which the interval, half a fruit wider at either end, just covers the truth."""
     number = ratio.likeliest(example.evidence)
     beyond = max(number / (truth + 0.5), (truth - 0.5) / number, 1.0)
     return float(np.log(beyond)) / (QUANTILE * ratio.deviation(example.evidence))
 
 
-def _weights(examples: Sequence[Example]) -> FloatArray:
-    """(E,) weights with equal sums for crowns and rendered trees, with a mean of 1."""
+def _weigh_examples(examples: Sequence[Example]) -> FloatArray:
+    """Return weights (E,) with equal sums for crowns and rendered trees, with a mean of 1."""
     rendered_scene = np.array([example.kind.startswith("walk") for example in examples])
     shares = np.where(rendered_scene, 1.0 / max(rendered_scene.sum(), 1), 1.0 / max((~rendered_scene).sum(), 1))
     return shares / shares.mean()

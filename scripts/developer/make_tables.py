@@ -95,7 +95,7 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
     records = []
     for method in dict.fromkeys(trial.method for trial in trials):
         if method == TWO_PHOTOS:
-            records.append(record_of(seen_in_two_photos(folder, out / folder.name, trained), method))
+            records.append(record_of(measure_two_photos(folder, out / folder.name, trained), method))
             continue
         count: Any = trained.count
         config = replace(trained, count=replace(count, method=method))
@@ -107,7 +107,7 @@ def measure(scene: str, trials: Sequence[Trial], out: Path) -> list[Record]:
     return records
 
 
-def seen_in_two_photos(folder: Path, out: Path, config: Config) -> StageResult:
+def measure_two_photos(folder: Path, out: Path, config: Config) -> StageResult:
     """Count fruit in two photos of a scene whose result is in `out`, or is made there."""
     (row,) = climb(folder, out, config=config, stages=[TRUE_POSES])
     counted = None if row.failed else count_in_two_photos(out / TRUE_POSES, [row.species])

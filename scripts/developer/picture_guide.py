@@ -24,7 +24,7 @@ from guide.day import Day, live
 from guide.film import Film
 from guide.hand import Hand
 
-from _window import arguments_of, open_panel, play, viewport
+from _window import arguments_of, find_viewport, open_panel, play
 
 
 def parse() -> argparse.Namespace:
@@ -65,7 +65,7 @@ def visit(arguments: argparse.Namespace) -> Generator[float, None, int]:
         pictures=arguments.pictures and arguments.pictures.resolve(),
         check=check,
     )
-    hand = Hand(*viewport())
+    hand = Hand(*find_viewport())
     film = Film(hand) if arguments.film else None
     yield from live(hand, day, film)
     if film is not None:

@@ -52,8 +52,8 @@ def test_memory_beyond_the_size_of_the_file_is_a_fault(tmp_path: Path, monkeypat
 
 def test_every_damage_changes_some_bytes_and_the_same_seed_gives_the_same() -> None:
     data = b'{"id": 12, "x": 3.5, "list": [1, 2, 3]}' * 10
-    made = [fuzz_readers.damaged(data, np.random.default_rng(seed)) for seed in range(40)]
-    again = [fuzz_readers.damaged(data, np.random.default_rng(seed)) for seed in range(40)]
+    made = [fuzz_readers.damage(data, np.random.default_rng(seed)) for seed in range(40)]
+    again = [fuzz_readers.damage(data, np.random.default_rng(seed)) for seed in range(40)]
     assert made == again
     assert sum(each != data for each in made) > 35
     assert len(set(made)) > 30

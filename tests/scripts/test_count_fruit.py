@@ -100,7 +100,7 @@ def test_every_placeholder_of_help_is_one_that_the_command_line_accepts(tmp_path
 )
 def test_settings_count_as_given_whatever_their_value(arguments: str, given: set[str]) -> None:
     script = "import sys; sys.path.insert(0, sys.argv[1]); import _checkout; import _terminal\n"
-    show = "print(*sorted(_terminal.given_settings(sys.argv[2:])))"
+    show = "print(*sorted(_terminal.list_given_settings(sys.argv[2:])))"
     done = subprocess.run(
         [sys.executable, "-c", script + show, str(ROOT / "scripts"), *arguments.split()],
         capture_output=True,

@@ -70,11 +70,11 @@ def test_a_scene_is_never_judged_by_a_gate_that_was_fitted_to_it(monkeypatch: py
 def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
     crown = simulate(FEW, 1003)
     given = (crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
-    (example,) = fit_gate.example(Case("few", "crown 1003", *given))
+    (example,) = fit_gate.make_example(Case("few", "crown 1003", *given))
     assert example.features.shape == (len(example.fruit), len(WEIGHED))
     assert example.fruit.sum() >= 0.9 * example.visible
     assert not example.fruit.all()
-    precision, recall, f1, promised = fit_gate.judged(example, fit_gate.fit([example]))
+    precision, recall, f1, promised = fit_gate.judge_example(example, fit_gate.fit([example]))
     assert min(precision, recall, f1) > 0.9
     assert promised == pytest.approx(1.0, abs=0.1)
 
@@ -84,7 +84,7 @@ def test_true_surfaces_of_a_rendered_tree_are_fitted_to_as_well_as_trained_ones(
     ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1, seed=1004)
     (case,) = surface_cases(tmp_path)
     assert (case.kind, case.family, len(case.cameras)) == ("walk, true surfaces", "walk 1003", LEAST_WALK)
-    (example,) = fit_gate.example(case)
+    (example,) = fit_gate.make_example(case)
     assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
 
 

@@ -36,7 +36,7 @@ SCENES = [scene(seed) for seed in range(1000, 1040)]
 
 
 def test_the_ratio_finds_what_gives_of_more_fruit_and_how_far_it_errs():
-    ratio = fit_interval.stretched(SCENES, fit_interval.TRUTHS["visible"])
+    ratio = fit_interval.fit_stretched(SCENES, fit_interval.TRUTHS["visible"])
     assert ratio.weights[0] == pytest.approx(np.log(1.2) / 0.2, abs=0.35)
     assert ratio.weights[1:] == pytest.approx(np.zeros(len(COVARIATES) - 1), abs=0.05)
     assert ratio.floor * ratio.stretches == pytest.approx([0.1, 0.1], rel=0.3)
@@ -70,15 +70,18 @@ def test_all_scenes_of_a_tree_are_left_out_together_of_fit_and_stretch():
     few, truth = SCENES[:8], fit_interval.TRUTHS["visible"]
     both = [strange("walk 1314"), strange("walk 1314", kind="walk, half of the photos")]
     _, without = fit_interval.fit([*few, *both], truth)
-    alone = fit_interval.stretched(few, truth)
+    alone = fit_interval.fit_stretched(few, truth)
     assert without["walk 1314"].document() == alone.document()
 
 
 def test_the_gradient_of_the_loss_is_that_of_its_values():
     loss = fit_interval.Loss.of([*SCENES, scene(7, faint=0.1)], fit_interval.TRUTHS["visible"])
     x, step = np.array([0.1, 0.5, 0.2, 0.3, -2.0, 0.1, 0.4, 0.2]), 1e-6
-    moved = [(loss.with_gradient(x + e)[0] - loss.with_gradient(x - e)[0]) / (2 * step) for e in step * np.eye(8)]
-    assert loss.with_gradient(x)[1] == pytest.approx(np.array(moved), rel=1e-5, abs=1e-5)
+    moved = [
+        (loss.compute_with_gradient(x + e)[0] - loss.compute_with_gradient(x - e)[0]) / (2 * step)
+        for e in step * np.eye(8)
+    ]
+    assert loss.compute_with_gradient(x)[1] == pytest.approx(np.array(moved), rel=1e-5, abs=1e-5)
 
 
 def test_the_table_counts_a_tree_once_however_many_scenes_it_has():
@@ -131,7 +134,7 @@ def test_stored_examples_give_coverages_and_no_file_changes(tmp_path: Path, caps
 def test_trained_scenes_that_err_more_do_not_widen_the_intervals_of_others():
     truth = fit_interval.TRUTHS["visible"]
     trained = [scene(seed, spread=0.8, faint=TRAINED) for seed in range(1100, 1140)]
-    ratio = fit_interval.stretched([*SCENES, *trained], truth)
+    ratio = fit_interval.fit_stretched([*SCENES, *trained], truth)
     unseen = [scene(seed) for seed in range(2000, 2200)]
     faint = [scene(seed, spread=0.8, faint=TRAINED) for seed in range(3000, 3200)]
     for scenes in (unseen, faint):
@@ -141,7 +144,7 @@ def test_trained_scenes_that_err_more_do_not_widen_the_intervals_of_others():
 def test_a_crown_becomes_an_example_with_fruit_that_views_show_and_all():
     crown = simulate(Setting(fruits=(25, 25), leaves=400, views=10), 1003)
     case = Case("few", "crown 1003", crown.gaussians, crown.probability, crown.cameras, crown.truth, crown.shown)
-    (example,) = fit_interval.example(case)
+    (example,) = fit_interval.make_example(case)
     assert example.total == 25
     assert crown.shown.sum() <= example.visible <= 25
     assert example.evidence.expected == pytest.approx(example.visible, rel=0.2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from _wheel_check import misfits
+from _wheel_check import find_misfits
 from tiny_wheels import make_wheel
 
 from fruitlangs.operators.packages.package_versions import versions_for
@@ -15,7 +15,7 @@ LINUX = ("manylinux_2_28_x86_64",)
 
 def checked(folder: Path, python: str = "3.11", numpy: str = "1.26.4", system: str = "linux") -> list[str]:
     platforms = {"linux": LINUX, "win32": ("win_amd64",), "darwin": ("macosx_14_0_arm64",)}[system]
-    return misfits(sorted(folder.glob("*.whl")), python=python, numpy=numpy, system=system, platforms=platforms)
+    return find_misfits(sorted(folder.glob("*.whl")), python=python, numpy=numpy, system=system, platforms=platforms)
 
 
 def test_a_requirement_is_met_by_another_wheel_or_by_blenders_numpy(tmp_path: Path) -> None:

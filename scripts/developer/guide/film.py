@@ -33,8 +33,8 @@ class Film:
         self._pictures: list[Image.Image] = []
         self._looked = 0.0
 
-    def of(self, steps: Steps, working: Callable[[], bool]) -> Steps:
-        """The same steps, with a picture now and then. working: whether a job runs."""
+    def record(self, steps: Steps, working: Callable[[], bool]) -> Steps:
+        """Pass on the same steps, with a picture now and then. working: whether a job runs."""
         for pause in steps:
             yield pause
             if time.monotonic() - self._looked > (EVERY_AT_WORK if working() else EVERY):

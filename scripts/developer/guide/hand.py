@@ -103,9 +103,9 @@ class Hand:
             yield MOMENT
         yield from self.press("RET", x, y)
 
-    def under_mouse(self) -> str:
-        """The operator ('fruitlangs.count') or property ('prompt') of the button under the pointer; empty if there is
-        none."""
+    def name_under_mouse(self) -> str:
+        """Name the operator ('fruitlangs.count') or property ('prompt') of the button under the pointer; empty if there
+        is none."""
         manager = bpy.context.window_manager
         manager.clipboard = ""
         with bpy.context.temp_override(window=self.window, area=self.area, region=self.region("UI")):
@@ -125,13 +125,13 @@ class Hand:
             NotThere: there is none.
         """
         for _ in range(2):
-            found = yield from self._below(what, across)
+            found = yield from self._find_below(what, across)
             if found is not None:
                 return found
-            yield from self.top()
+            yield from self.scroll_to_top()
         raise NotThere(f"no button '{what}' in the sidebar")
 
-    def _below(self, what: str, across: float) -> Steps:
+    def _find_below(self, what: str, across: float) -> Steps:
         """As `find`, below the current position; None if there is none."""
         region = self.region("UI")
         x = region.x + region.width * across
@@ -139,14 +139,14 @@ class Hand:
             y = region.y + region.height - 2 * STEP
             while y > region.y + STEP:
                 yield from self.move(x, y)
-                if what in self.under_mouse():
+                if what in self.name_under_mouse():
                     return x, y - STEP // 2  # its very edge does not accept clicks
                 y -= STEP
             for _ in range(NOTCHES):
                 yield from self.press("WHEELDOWNMOUSE", x, region.y + region.height / 2)
         return None
 
-    def top(self) -> Steps:
+    def scroll_to_top(self) -> Steps:
         """Scroll the sidebar to its top."""
         region = self.region("UI")
         for _ in range(60):
@@ -161,7 +161,7 @@ class Hand:
         yield from self.click(x, y)
         return x, y
 
-    def shot(self, path: Path) -> Steps:
+    def save_shot(self, path: Path) -> Steps:
         """Save a picture of the whole window, `WIDTH` pixels wide, as JPEG."""
         yield 1.0
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -131,7 +131,7 @@ def packed_by_blender(root: Path, patterns: list[str]) -> list[str]:
 def visited(tmp_path):
     """A checkout in which users left files, and the names of the project's own."""
     build_extension = importlib.import_module("build_extension")
-    own = [name for name in build_extension.own_files(manifest()) if name != "blender_manifest.toml"]
+    own = [name for name in build_extension.list_own_files(manifest()) if name != "blender_manifest.toml"]
     root = tmp_path / "visited"
     for name in own + STRANGERS:
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -143,7 +143,7 @@ def visited(tmp_path):
 def test_what_users_leave_in_the_checkout_is_in_no_zip(visited):
     root, own = visited
     patterns = manifest()["build"]["paths_exclude_pattern"]
-    found = importlib.import_module("build_extension").included_files(root, patterns)
+    found = importlib.import_module("build_extension").list_included_files(root, patterns)
     assert sorted(path.relative_to(root).as_posix() for path in found) == own
 
 
@@ -263,9 +263,9 @@ def test_patterns_are_read_as_blender_reads_them(pattern, path, is_folder, expec
 
 @pytest.mark.parametrize("patterns", [["*", "!/kept"], ["!/kept", "*"]])
 def test_a_pattern_that_keeps_wins_wherever_it_stands(patterns):
-    excluded = importlib.import_module("build_extension").excluded
+    is_excluded = importlib.import_module("build_extension").is_excluded
     for path, expected in (("kept", False), ("other", True)):
-        assert excluded(path, True, patterns) is expected
+        assert is_excluded(path, True, patterns) is expected
         assert blender_patterns()(patterns).test_path(path + "/") is expected
 
 
