@@ -39,7 +39,7 @@ def measure_language(
     Raises:
         FruitLangsError: the scene, the Gaussians or a checkpoint cannot be read.
     """
-    scene = _some(read_scene(source, SceneConfig()), views)
+    scene = _select_some(read_scene(source, SceneConfig()), views)
     gaussians = read_ply(ply)
     return [
         row
@@ -53,14 +53,14 @@ def _pipeline(scene: Scene, gaussians: Gaussians, config: EmbedConfig, progress:
     with watch.running():
         with watch.stage("open"):
             embedder = Embedder.open(config)
-        features = (_lifted if embedder.segmenter is None else _mixed)(watch, scene, gaussians, embedder, progress)
+        features = (_lift if embedder.segmenter is None else _mix)(watch, scene, gaussians, embedder, progress)
         for name, negatives in (("ask a word", ()), ("ask with three negatives", NEGATIVES)):
             with watch.stage(name):
                 relevancy(features, embedder.encoder, [PROMPT], negatives)
     return watch.rows(config.encoder if embedder.segmenter is None else f"{config.encoder}, {config.masks} masks")
 
 
-def _lifted(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
+def _lift(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
     assert sees_whole(embedder.encoder)
     with watch.stage("measure the width of fruit"):
         scales = photo_scales(scene, embedder.encoder)
@@ -69,7 +69,7 @@ def _lifted(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embe
         return lift_features(gaussians, scene.cameras, photos, encoder_id=embedder.encoder.identity, progress=progress)
 
 
-def _mixed(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
+def _mix(watch: Stopwatch, scene: Scene, gaussians: Gaussians, embedder: Embedder, progress: Progress) -> Features:
     assert embedder.segmenter is not None
     assert sees_crops(embedder.encoder)
     segmenter: Any = _Timed(embedder.segmenter, watch, {"segment": "find a photo's masks"})
@@ -96,15 +96,15 @@ class _Timed:
         if name not in self._stages:
             return found
 
-        def timed(*arguments: Any, **named: Any) -> Any:
+        def call_timed(*arguments: Any, **named: Any) -> Any:
             with self._watch.stage(self._stages[name]):
                 return found(*arguments, **named)
 
-        return timed
+        return call_timed
 
 
-def _some(scene: Scene, views: int) -> Scene:
-    """The scene with this many of its photos, spread over all; 0: all."""
+def _select_some(scene: Scene, views: int) -> Scene:
+    """Return the scene with this many of its photos, spread over all; 0: all."""
     if not 0 < views < len(scene.images):
         return scene
     chosen = [round(place * (len(scene.images) - 1) / max(views - 1, 1)) for place in range(views)]

@@ -68,22 +68,23 @@ def intraclass_correlation(groups: Sequence[Sequence[float]]) -> IntraclassCorre
     return IntraclassCorrelation(value=value, low=low, high=high)
 
 
-def shared_error(trees: Mapping[str, Sequence[MeasuredTree]]) -> IntraclassCorrelation:
-    """The correlation of log errors within species. trees: by species."""
+def estimate_shared_error(trees: Mapping[str, Sequence[MeasuredTree]]) -> IntraclassCorrelation:
+    """Estimate the correlation of log errors within species. trees: by species."""
     return intraclass_correlation([[tree.log_error for tree in own] for own in trees.values()])
 
 
-def held_sums(trees: Sequence[MeasuredTree], shared: float, size: int) -> float:
-    """Share of the sums of `size` of these trees of a species, drawn with replacement, whose intervals hold."""
+def measure_held_sums(trees: Sequence[MeasuredTree], shared: float, size: int) -> float:
+    """Measure the share of the sums of `size` of these trees of a species, drawn with replacement, whose intervals
+    hold."""
     return mean(_holds(chosen, shared) for chosen in itertools.product(trees, repeat=size))
 
 
-def held_sums_left_out(trees: Mapping[str, Sequence[MeasuredTree]], size: int) -> float:
-    """The same over all species, each with the shared part that the other species have."""
+def measure_held_sums_left_out(trees: Mapping[str, Sequence[MeasuredTree]], size: int) -> float:
+    """Do the same over all species, each with the shared part that the other species have."""
     found = []
     for species, own in trees.items():
         others = {name: each for name, each in trees.items() if name != species}
-        found.append(held_sums(own, shared_error(others).value, size))
+        found.append(measure_held_sums(own, estimate_shared_error(others).value, size))
     return mean(found)
 
 

@@ -36,7 +36,7 @@ from ..engine.progress import Progress, silent
 from ..engine.publishing import Result
 from ..engine.splatting.rendering.rasterize import render
 from .counting.trials import metrics_of
-from .ladder.stages import TRUE_POSES, masked_probability
+from .ladder.stages import TRUE_POSES, measure_masked_probability
 from .markdown import markdown
 from .orchards import TRUTH, read_origin
 
@@ -83,9 +83,9 @@ class Tree:
     fruit: Sequence[BoolArray]
 
     @classmethod
-    def grown(cls, folder: Path, out: Path, progress: Progress = silent) -> Tree:
-        """The scene in `folder`, counted with its own word, or as "fruit" if that is not built in. Cached as the stage
-        with true poses of the ladder in the same `out`."""
+    def grow(cls, folder: Path, out: Path, progress: Progress = silent) -> Tree:
+        """Count the scene in `folder` with its own word, or as "fruit" if that is not built in. Cached as the
+        stage with true poses of the ladder in the same `out`."""
         species = read_origin(folder).species
         word = species if species in CONCEPTS else "fruit"
         return cls.of(folder, count_scene(folder, [word], out / TRUE_POSES, progress=progress))
@@ -114,19 +114,19 @@ class Tree:
         """To teach a word in this tree."""
         return Lesson(name, self.ground, self.result.features, self._encoder)
 
-    def counted_with(self, word: TaughtWord, folder: Path) -> Result:
-        """The tree counted with a word that was taught, which is written to the folder next to the result."""
+    def count_with(self, word: TaughtWord, folder: Path) -> Result:
+        """Count the tree with a word that was taught, which is written to the folder next to the result."""
         save_word(word_file(folder, word.name), word)
         config = Config(embed=EmbedConfig(words=str(folder)))
         return count_scene(self.result.out, [word.name], folder / self.folder.name, config=config)
 
-    def measured(self, result: Result) -> CountMetrics:
-        """A count of this tree against its truth."""
+    def measure(self, result: Result) -> CountMetrics:
+        """Measure a count of this tree against its truth."""
         return count_metrics(result.fruit_count.centers, result.fruit_count.diameters, self.truth)
 
-    def positive_clicks(self, number: int) -> list[Click]:
-        """Each in the middle of another fruit, in the view that shows the largest part of it: an even selection of the
-        fruit by that size, without the smaller half."""
+    def choose_positive_clicks(self, number: int) -> list[Click]:
+        """Choose clicks, each in the middle of another fruit, in the view that shows the largest part of it: an even
+        selection of the fruit by that size, without the smaller half."""
         best: dict[int, tuple[int, int, int]] = {}
         for view, (ids, fruit) in enumerate(zip(self.instances, self.fruit, strict=True)):
             numbers, sizes = np.unique(ids[fruit], return_counts=True)
@@ -141,9 +141,9 @@ class Tree:
             clicks.append(self._click(-view, np.unravel_index(int(inside.argmax()), inside.shape), positive=True))
         return clicks
 
-    def negative_marks(self, word: TaughtWord, number: int) -> list[Mark]:
-        """Clicks where photos show no fruit and the word matches best: one a photo, none on what another one has, and
-        none whose region a user would not accept, because it reaches over fruit."""
+    def choose_negative_marks(self, word: TaughtWord, number: int) -> list[Mark]:
+        """Choose clicks where photos show no fruit and the word matches best: one a photo, none on what another one
+        has, and none whose region a user would not accept, because it reaches over fruit."""
         probability = relevancy(self.result.features, self._encoder.with_words({word.name: word}), [word.name])
         found = []
         views = zip(self.result.scene.cameras, self.instances, self.fruit, strict=True)
@@ -151,7 +151,7 @@ class Tree:
             drawn = render(self.result.gaussians, camera, features=probability[:, None]).features
             assert drawn is not None
             shown = ndimage.uniform_filter(drawn[..., 0].detach().numpy(), 3)
-            shown[ndimage.distance_transform_edt(~fruit) < APART * _width(ids[fruit])] = -1.0
+            shown[ndimage.distance_transform_edt(~fruit) < APART * _measure_width(ids[fruit])] = -1.0
             place = np.unravel_index(int(shown.argmax()), shown.shape)
             found.append((-float(shown[place]), view, place))
         marks: list[Mark] = []
@@ -174,7 +174,7 @@ class Tree:
         """(M,) share of fruit in what each Gaussian of `ground` shows."""
         assert self.truth.ids is not None
         cameras = self.result.scene.cameras
-        shown = masked_probability(self.result.gaussians, cameras, self.instances, self.truth.ids)
+        shown = measure_masked_probability(self.result.gaussians, cameras, self.instances, self.truth.ids)
         return shown.numpy()[self.ground.rows]
 
     def marks(self, clicks: Sequence[Click]) -> list[Mark]:
@@ -184,25 +184,26 @@ class Tree:
         row, column = (int(each) for each in place)
         return Click(positive, self.result.scene.images[view].name, column + 0.5, row + 0.5)
 
-    def taught(self, name: str, positive: int, negative: int) -> tuple[TaughtWord, float]:
-        """The word, and how long the last learning took, in seconds."""
-        lesson, marks = self.lesson(name), self.marks(self.positive_clicks(positive))
+    def teach(self, name: str, positive: int, negative: int) -> tuple[TaughtWord, float]:
+        """Return the word, and how long the last learning took, in seconds."""
+        lesson, marks = self.lesson(name), self.marks(self.choose_positive_clicks(positive))
         if negative:
-            marks += self.negative_marks(lesson.word(marks), negative)
+            marks += self.choose_negative_marks(lesson.word(marks), negative)
         start = time.perf_counter()
         word = lesson.word(marks)
         return word, time.perf_counter() - start
 
 
-def _width(numbers: NDArray[np.uint16]) -> float:
-    """Diameter in pixels of a disc as large as the typical fruit. numbers: ids of all pixels that show fruit."""
+def _measure_width(numbers: NDArray[np.uint16]) -> float:
+    """Measure the diameter in pixels of a disc as large as the typical fruit. numbers: ids of all pixels that show
+    fruit."""
     sizes = np.unique(numbers, return_counts=True)[1]
     return float(2.0 * np.sqrt(np.median(sizes) / np.pi)) if len(sizes) else 0.0
 
 
-def new_name(species: str) -> str:
-    """The name under which a species is taught: not that of a built-in word, which would be refined, and without the
-    colour orange, which no name may have."""
+def choose_name(species: str) -> str:
+    """Choose the name under which a species is taught: not that of a built-in word, which would be refined, and without
+    the colour orange, which no name may have."""
     if species == "orange":
         return "mandarin"
     return f"own {species}" if species in CONCEPTS else species
@@ -218,22 +219,22 @@ def try_words(
     """
     done = {trial.place: trial for trial in known}
     for tree in trees:
-        built_in = _trial(tree, BUILT_IN, (0, 0), 0.0, tree.measured(tree.result))
+        built_in = _make_trial(tree, BUILT_IN, (0, 0), 0.0, tree.measure(tree.result))
         yield done.get(built_in.place, built_in)
     for teacher in trees:
-        name = new_name(teacher.species)
+        name = choose_name(teacher.species)
         for lesson in lessons:
             places = [(tree.folder.name, teacher.folder.name, *lesson) for tree in trees]
             if all(place in done for place in places):
                 yield from (done[place] for place in places)
                 continue
-            word, seconds = teacher.taught(name, *lesson)
+            word, seconds = teacher.teach(name, *lesson)
             for tree, place in zip(trees, places, strict=True):
                 if place in done:
                     yield done[place]
                     continue
-                counted = tree.counted_with(word, out / teacher.folder.name / "{}+{}".format(*lesson))
-                yield _trial(tree, teacher.folder.name, lesson, seconds, tree.measured(counted))
+                counted = tree.count_with(word, out / teacher.folder.name / "{}+{}".format(*lesson))
+                yield _make_trial(tree, teacher.folder.name, lesson, seconds, tree.measure(counted))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +260,7 @@ def correct(tree: Tree, out: Path, most: int = 3) -> list[Correction]:
     lesson, corrections = tree.lesson(tree.species), list[Correction]()
     for wrong in sorted(false, key=lambda fruit: (-fruit.probability, fruit.id))[:most]:
         word = lesson.word([Mark(False, f"fruit {wrong.id}", tree.ground.grow_region(wrong.center))])
-        result = tree.counted_with(word, out / tree.folder.name / f"without {wrong.id}").fruit_count
+        result = tree.count_with(word, out / tree.folder.name / f"without {wrong.id}").fruit_count
         apart = np.linalg.norm(result.centers - wrong.center, axis=1)
         after = judge(result.centers, result.diameters, tree.truth)
         corrections.append(
@@ -285,7 +286,7 @@ def corrections_table(corrections: Sequence[Correction]) -> str:
     return markdown(lines)
 
 
-def _trial(tree: Tree, taught: str, lesson: tuple[int, int], seconds: float, metrics: CountMetrics) -> WordTrial:
+def _make_trial(tree: Tree, taught: str, lesson: tuple[int, int], seconds: float, metrics: CountMetrics) -> WordTrial:
     return WordTrial(
         species=tree.species,
         scene=tree.folder.name,

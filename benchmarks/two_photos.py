@@ -39,24 +39,26 @@ def count_in_two_photos(result: Path, prompts: Sequence[str]) -> int:
     maps = photo_probabilities(photos, opened.features, encoder, prompts)
     if maps is None:
         raise EncoderError("The photos keep no masks of these prompts. Ask for a kind of fruit that the encoder knows")
-    return sum(fruit_seen(maps[view]) for view in (0, opposite(opened.scene.cameras)))
+    return sum(count_fruit_seen(maps[view]) for view in (0, find_opposite(opened.scene.cameras)))
 
 
-def opposite(cameras: Sequence[Camera]) -> int:
-    """The camera whose direction of view is most unlike that of the first."""
+def find_opposite(cameras: Sequence[Camera]) -> int:
+    """Find the camera whose direction of view is most unlike that of the first."""
     directions = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
     return int(np.argmin(directions @ directions[0]))
 
 
-def fruit_seen(shown: PhotoMap) -> int:
-    """The number of fruit in a photo: of connected cores, and of areas of which no core is seen."""
+def count_fruit_seen(shown: PhotoMap) -> int:
+    """Count the fruit in a photo: of connected cores, and of areas of which no core is seen."""
     fruit = shown.probability > SHOWN
     cores, found = ndimage.label(fruit & (np.linalg.norm(shown.offsets, axis=2) < INNER), TOUCHING)
     areas, parts = ndimage.label(fruit, TOUCHING)
     hidden = np.setdiff1d(np.arange(1, parts + 1), areas[cores > 0])
-    return int((_sizes(cores, found) >= LEAST).sum() + (_sizes(areas, parts)[hidden - 1] >= 2 * LEAST).sum())
+    return int(
+        (_measure_sizes(cores, found) >= LEAST).sum() + (_measure_sizes(areas, parts)[hidden - 1] >= 2 * LEAST).sum()
+    )
 
 
-def _sizes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """(count,) pixels of each label from 1."""
+def _measure_sizes(labels: NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    """Count the pixels (count,) of each label from 1."""
     return np.bincount(labels.ravel(), minlength=count + 1)[1:]

@@ -62,7 +62,7 @@ def measure_widths(folder: Path, ply: Path, progress: Progress = silent) -> Iter
     origin = read_origin(folder)
     truth = read_truth(folder / TRUTH, true_labels([origin.species]))
     whole, gaussians = read_scene(folder, SceneConfig(max_side=0)), read_ply(ply)
-    own = mean_width(truth, whole.cameras)
+    own = measure_mean_width(truth, whole.cameras)
     side = max(max(camera.width, camera.height) for camera in whole.cameras)
     widths, embedder = [*(width for width in WIDTHS if width < 0.9 * own), own], Embedder.open(EmbedConfig())
     for place, width in enumerate(widths):
@@ -70,13 +70,13 @@ def measure_widths(folder: Path, ply: Path, progress: Progress = silent) -> Iter
         inner(0.0, f"{folder.name}, fruit of {width:.0f} pixels")
         scene = read_scene(folder, SceneConfig(max_side=round(side * width / own)))
         scales = photo_scales(scene, embedder.encoder)
-        read = mean_width(truth, scene.cameras)
+        read = measure_mean_width(truth, scene.cameras)
         seen = read * float(np.mean([max(each) for each in scales]))
         row = WidthRow(
             species=origin.species, seed=origin.seed or 0, width=read, seen=seen, visible=int(truth.visible.sum())
         )
         try:
-            found = _counted(scene, gaussians, origin.species, embedder, scales)
+            found = _count(scene, gaussians, origin.species, embedder, scales)
         except CountingError as error:
             yield replace(row, failed=str(error))
             continue
@@ -85,14 +85,14 @@ def measure_widths(folder: Path, ply: Path, progress: Progress = silent) -> Iter
         yield replace(row, counted=metrics.predicted, recall=metrics.recall, f1=metrics.f1, diameter_bias=bias)
 
 
-def mean_width(truth: Truth, cameras: Sequence[Camera]) -> float:
-    """Mean width of the visible fruit over all cameras, in pixels."""
+def measure_mean_width(truth: Truth, cameras: Sequence[Camera]) -> float:
+    """Measure the mean width of the visible fruit over all cameras, in pixels."""
     centers, diameters = truth.centers[truth.visible], truth.diameters[truth.visible]
     widths = [diameters * camera.K[0, 0] / camera.project(centers)[1] for camera in cameras]
     return float(np.mean(widths))
 
 
-def _counted(
+def _count(
     scene: Scene, gaussians: Gaussians, species: str, embedder: Embedder, scales: Sequence[Sequence[float]]
 ) -> FruitCount:
     """Count a species in photos as a run does, with Gaussians that are given.
@@ -129,13 +129,13 @@ def width_table(rows: Sequence[WidthRow]) -> str:
     lines = [["tree", "fruit in the photos, px", "seen, px", "visible", "counted", "F1", "recall", "bias of diameters"]]
     for row in rows:
         numbers = [f"{row.width:.0f}", f"{row.seen:.0f}", str(row.visible)]
-        measures = ["error" if row.failed else str(row.counted), *map(_three_places, (row.f1, row.recall))]
+        measures = ["error" if row.failed else str(row.counted), *map(_format_three_places, (row.f1, row.recall))]
         bias = NONE if row.diameter_bias is None else f"{100.0 * row.diameter_bias:+.0f} %"
         lines.append([f"{row.species} {row.seed}", *numbers, *measures, bias])
     return markdown(lines)
 
 
-def _three_places(value: float | None) -> str:
+def _format_three_places(value: float | None) -> str:
     return NONE if value is None else f"{value:.3f}"
 
 

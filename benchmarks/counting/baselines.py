@@ -69,20 +69,21 @@ def surface_of(gaussians: Gaussians, probability: torch.Tensor, cameras: Sequenc
     return Surface(gaussians, probability, cameras, visibility, (points, size))
 
 
-def ours(surface: Surface) -> Found:
-    """Centres (F, 3) and diameters (F,) by the product's default."""
-    return _counted(surface, CountConfig())
+def count_by_default(surface: Surface) -> Found:
+    """Find centres (F, 3) and diameters (F,) by the product's default."""
+    return _count(surface, CountConfig())
 
 
-def by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
-    """A published method of the product, given the same size; it samples its own points (the paper's eq. 12)."""
+def count_by_method(method: Literal["template", "fruitnerf"], surface: Surface) -> Found:
+    """Count by a published method of the product, given the same size; it samples its own points (the paper's eq.
+    12)."""
     if surface.sample is None:
         return NONE
-    return _counted(surface, CountConfig(method=method, diameter=surface.sample[1].diameter))
+    return _count(surface, CountConfig(method=method, diameter=surface.sample[1].diameter))
 
 
-def _counted(surface: Surface, config: CountConfig) -> Found:
-    """What the product counts; no fruit where it reports that a 0 is not a count."""
+def _count(surface: Surface, config: CountConfig) -> Found:
+    """Return what the product counts; no fruit where it reports that a 0 is not a count."""
     try:
         counted = count_fruit(
             surface.gaussians,
@@ -97,7 +98,7 @@ def _counted(surface: Surface, config: CountConfig) -> Found:
     return counted.centers, counted.diameters
 
 
-def by_mass(surface: Surface) -> Found:
+def count_by_mass(surface: Surface) -> Found:
     """DBSCAN; the number of fruit in a cluster is its number of points relative to a typical cluster, split by
     k-means."""
     if surface.sample is None:
@@ -119,7 +120,7 @@ def by_mass(surface: Surface) -> Found:
     return found, np.full(len(found), diameter)
 
 
-def by_votes(surface: Surface) -> Found:
+def count_by_votes(surface: Surface) -> Found:
     """Votes for centres along the normals, sphere fits, non-maximum suppression; no candidate is rejected for its
     shape."""
     if surface.sample is None:
@@ -142,10 +143,10 @@ def by_votes(surface: Surface) -> Found:
 
 
 METHODS: Mapping[str, Callable[[Surface], Found]] = {
-    "DBSCAN + mass ratio": by_mass,
-    "plain centre voting": by_votes,
-    "FruitNeRF's clustering": partial(by_method, "fruitnerf"),
-    "paper's template method": partial(by_method, "template"),
-    "ours": ours,
+    "DBSCAN + mass ratio": count_by_mass,
+    "plain centre voting": count_by_votes,
+    "FruitNeRF's clustering": partial(count_by_method, "fruitnerf"),
+    "paper's template method": partial(count_by_method, "template"),
+    "ours": count_by_default,
 }
 """By name."""

@@ -18,7 +18,7 @@ from ..ladder.stages import LadderStages
 from ..orchards import TRUTH, read_origin
 from .baselines import Found, Surface, surface_of
 from .simulated import Setting, simulate
-from .trials import Trial, code_key, tried
+from .trials import Trial, code_key, measure_trial
 
 Methods = Mapping[str, Callable[[Surface], Found]]
 
@@ -32,25 +32,26 @@ class Crown:
     key: str
     grown: Callable[[], tuple[Surface, Truth]]
 
-    def counted(self, methods: Methods) -> list[Trial]:
-        """The crown, counted by every method."""
+    def count(self, methods: Methods) -> list[Trial]:
+        """Count the crown by every method."""
         surface, truth = self.grown()
         return [
-            tried(self.setting, self.seed, name, self.key, count(surface), truth) for name, count in methods.items()
+            measure_trial(self.setting, self.seed, name, self.key, count(surface), truth)
+            for name, count in methods.items()
         ]
 
 
-def simulated_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Crown]:
-    """One crown per setting and seed."""
+def simulate_crowns(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Crown]:
+    """Simulate one crown per setting and seed."""
     keys = {name: code_key(setting) for name, setting in settings.items()}
     for seed in seeds:
         for name, setting in settings.items():
-            yield Crown(setting=name, seed=seed, key=keys[name], grown=partial(_grown, setting, seed))
+            yield Crown(setting=name, seed=seed, key=keys[name], grown=partial(_grow, setting, seed))
 
 
-def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
-    """The crown of a generated scene in one of the ablation stages with true masks; trained Gaussians are cached in
-    `out` (see `climb`).
+def make_scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
+    """Make the crown of a generated scene in one of the ablation stages with true masks; trained Gaussians are cached
+    in `out` (see `climb`).
 
     Raises:
         FruitLangsError: the scene or its truth cannot be read, the scene is incomplete, or does not name its species.
@@ -63,18 +64,18 @@ def scene_crown(folder: Path, out: Path, stage: str, config: Config) -> Crown:
     seen = [Source(path=folder).hash(), file_hash(folder / TRUTH), files_hash(masks, folder), file_hash(_STAGES)]
     stages = LadderStages(folder, out, truth, read_views(folder / TRUTH), [origin.species], config)
 
-    def grown() -> tuple[Surface, Truth]:
-        given = stages.given(stage)
+    def grow() -> tuple[Surface, Truth]:
+        given = stages.prepare_input(stage)
         return surface_of(given.gaussians, given.probability, given.cameras), truth
 
     return Crown(
-        setting=origin.species, seed=origin.seed, key=code_key(stage_key((), config, stage, *seen)), grown=grown
+        setting=origin.species, seed=origin.seed, key=code_key(stage_key((), config, stage, *seen)), grown=grow
     )
 
 
 _STAGES = Path(__file__).resolve().parents[1] / "ladder" / "stages.py"
 
 
-def _grown(setting: Setting, seed: int) -> tuple[Surface, Truth]:
+def _grow(setting: Setting, seed: int) -> tuple[Surface, Truth]:
     simulation = simulate(setting, seed)
     return surface_of(simulation.gaussians, simulation.probability, simulation.cameras), simulation.truth

@@ -85,8 +85,8 @@ AXES: Mapping[str, Mapping[str, Setting]] = {
 """Settings that vary one condition, by condition and name."""
 
 
-def any_setting(seed: int) -> Setting:
-    """A random setting within and slightly beyond the range of the named ones."""
+def sample_setting(seed: int) -> Setting:
+    """Sample a setting within and slightly beyond the range of the named ones."""
     rng = np.random.default_rng([seed, 7])
 
     def between(low: float, high: float) -> float:
@@ -122,14 +122,14 @@ class Simulation:
 def simulate(setting: Setting, seed: int) -> Simulation:
     """Generate a crown, render it, and make Gaussians of its visible surfaces. Seeded."""
     rng = np.random.default_rng(seed)
-    fruit, leaves = _fruit(setting, rng), _leaves(setting, rng)
-    bodies = fruit.joined(leaves)
+    fruit, leaves = _make_fruit(setting, rng), _make_leaves(setting, rng)
+    bodies = fruit.join(leaves)
     wrong = rng.random(len(leaves)) < setting.wrong
     numbers = np.concatenate([1 + np.arange(len(fruit)), np.where(wrong, WRONG + np.arange(len(leaves)), 0)])
-    cameras = _cameras(setting)
+    cameras = _make_cameras(setting)
     depths, instances, fractions, views = [], [], np.zeros(len(fruit)), np.zeros(len(fruit), np.int64)
     for camera in cameras:
-        depth, body, whole = _drawn(bodies, camera)
+        depth, body, whole = _draw_bodies(bodies, camera)
         shown = np.where(body >= 0, numbers[body], 0)
         seen = np.bincount(body[body >= 0], minlength=len(bodies))[: len(fruit)]
         part = seen / np.maximum(whole[: len(fruit)], 1)
@@ -137,8 +137,8 @@ def simulate(setting: Setting, seed: int) -> Simulation:
         views += (part >= SHOWN_SHARE) & (seen >= SHOWN_PIXELS)
         depths.append(depth)
         instances.append(shown.astype(np.uint16))
-    surface = true_surface(_scene(_drifted(cameras, setting)), depths, instances)
-    gaussians, probability = _roughened(surface.gaussians, torch.from_numpy(surface.fruit > 0), setting, rng)
+    surface = true_surface(_make_scene(_drift(cameras, setting)), depths, instances)
+    gaussians, probability = _roughen(surface.gaussians, torch.from_numpy(surface.fruit > 0), setting, rng)
     diameters = 2.0 * np.cbrt(fruit.half_axes.prod(axis=1))
     truth = Truth(
         centers=fruit.centers,
@@ -161,7 +161,7 @@ class _Bodies:
     def __len__(self) -> int:
         return len(self.centers)
 
-    def joined(self, other: _Bodies) -> _Bodies:
+    def join(self, other: _Bodies) -> _Bodies:
         return _Bodies(
             np.concatenate([self.centers, other.centers]),
             np.concatenate([self.half_axes, other.half_axes]),
@@ -169,8 +169,8 @@ class _Bodies:
         )
 
 
-def _fruit(setting: Setting, rng: np.random.Generator) -> _Bodies:
-    """Clumps of touching fruit that do not overlap by more than a tenth."""
+def _make_fruit(setting: Setting, rng: np.random.Generator) -> _Bodies:
+    """Make clumps of touching fruit that do not overlap by more than a tenth."""
     count = int(rng.integers(setting.fruits[0], setting.fruits[1] + 1))
     radii = 0.5 * np.exp(rng.normal(0.0, setting.size_cv, count) - 0.5 * setting.size_cv**2)
     centers = np.zeros((count, 3))
@@ -178,49 +178,49 @@ def _fruit(setting: Setting, rng: np.random.Generator) -> _Bodies:
     while placed < count:
         size = int(rng.integers(setting.least_clump, setting.clump + 1))
         for member in range(min(size, count - placed)):
-            centers[placed] = _free_place(centers[:placed], radii, placed, member, rng)
+            centers[placed] = _find_free_place(centers[:placed], radii, placed, member, rng)
             placed += 1
     half_axes = np.repeat(radii[:, None], 3, axis=1)
     half_axes[:, 2] *= rng.uniform(1.0, setting.long, count)
     return _Bodies(centers, half_axes, Rotation.random(count, random_state=rng).as_matrix())
 
 
-def _free_place(
+def _find_free_place(
     centers: FloatArray, radii: FloatArray, number: int, member: int, rng: np.random.Generator, tries: int = 200
 ) -> FloatArray:
-    """Position of fruit `number`: free in the crown, or touching an earlier member of its clump."""
-    place = _in_crown(rng)
+    """Find a position of fruit `number`: free in the crown, or touching an earlier member of its clump."""
+    place = _sample_in_crown(rng)
     for _ in range(tries):
         if member:
             friend = number - 1 - int(rng.integers(member))
-            place = centers[friend] + _direction(rng) * (radii[friend] + radii[number]) * rng.uniform(0.98, 1.06)
+            place = centers[friend] + _sample_direction(rng) * (radii[friend] + radii[number]) * rng.uniform(0.98, 1.06)
         else:
-            place = _in_crown(rng)
+            place = _sample_in_crown(rng)
         apart = np.linalg.norm(centers - place, axis=1)
         if (apart > 0.95 * (radii[:number] + radii[number])).all():
             return place
     return place
 
 
-def _in_crown(rng: np.random.Generator) -> FloatArray:
-    place: FloatArray = np.array(CROWN) * _direction(rng) * np.cbrt(rng.uniform(0.15, 1.0))
+def _sample_in_crown(rng: np.random.Generator) -> FloatArray:
+    place: FloatArray = np.array(CROWN) * _sample_direction(rng) * np.cbrt(rng.uniform(0.15, 1.0))
     return place
 
 
-def _direction(rng: np.random.Generator) -> FloatArray:
+def _sample_direction(rng: np.random.Generator) -> FloatArray:
     direction = rng.standard_normal(3)
     unit: FloatArray = direction / np.linalg.norm(direction)
     return unit
 
 
-def _leaves(setting: Setting, rng: np.random.Generator) -> _Bodies:
-    centers = np.stack([_in_crown(rng) for _ in range(setting.leaves)])
+def _make_leaves(setting: Setting, rng: np.random.Generator) -> _Bodies:
+    centers = np.stack([_sample_in_crown(rng) for _ in range(setting.leaves)])
     sizes = np.array(LEAF) * rng.uniform(0.6, 1.3, (setting.leaves, 1))
     return _Bodies(centers, sizes, Rotation.random(setting.leaves, random_state=rng).as_matrix())
 
 
-def _cameras(setting: Setting) -> list[Camera]:
-    """Cameras around the trunk in a wave, looking at the middle of the crown; z is up."""
+def _make_cameras(setting: Setting) -> list[Camera]:
+    """Make cameras around the trunk in a wave, looking at the middle of the crown; z is up."""
     K = np.array([[FOCAL, 0.0, WIDTH / 2.0], [0.0, FOCAL, HEIGHT / 2.0], [0.0, 0.0, 1.0]])
     cameras = []
     for view in range(setting.views):
@@ -231,8 +231,8 @@ def _cameras(setting: Setting) -> list[Camera]:
     return cameras
 
 
-def _drifted(cameras: list[Camera], setting: Setting) -> list[Camera]:
-    """The cameras of a poor reconstruction: one half of the ring is off sideways and in height."""
+def _drift(cameras: list[Camera], setting: Setting) -> list[Camera]:
+    """Return the cameras of a poor reconstruction: one half of the ring is off sideways and in height."""
     drifted = []
     for view, camera in enumerate(cameras):
         pose = camera.world_to_camera.copy()
@@ -242,7 +242,7 @@ def _drifted(cameras: list[Camera], setting: Setting) -> list[Camera]:
     return drifted
 
 
-def _scene(cameras: list[Camera]) -> Scene:
+def _make_scene(cameras: list[Camera]) -> Scene:
     grey = np.full((HEIGHT, WIDTH, 3), 128, np.uint8)
     return Scene(
         cameras=cameras,
@@ -253,8 +253,9 @@ def _scene(cameras: list[Camera]) -> Scene:
     )
 
 
-def _drawn(bodies: _Bodies, camera: Camera) -> tuple[NDArray[np.float32], IntArray, IntArray]:
-    """(H, W) depths along the axis, 0 for nothing, and bodies, -1 for none; (M,) pixels of each with nothing before."""
+def _draw_bodies(bodies: _Bodies, camera: Camera) -> tuple[NDArray[np.float32], IntArray, IntArray]:
+    """Draw depths (H, W) along the axis, 0 for nothing, and bodies, -1 for none; (M,) pixels of each with nothing
+    before."""
     turn, shift = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     # |A (x − c)| = 1 on the surface; x along a pixel's ray from the camera, which stands at 0.
     to_ball = (turn @ bodies.turns / bodies.half_axes[:, None, :]).transpose(0, 2, 1)
@@ -303,10 +304,10 @@ def _draw(
                     depth[row, column], body[row, column] = near, m
 
 
-def _roughened(
+def _roughen(
     gaussians: Gaussians, fruit: torch.Tensor, setting: Setting, rng: np.random.Generator
 ) -> tuple[Gaussians, torch.Tensor]:
-    """Noise on positions and normals, and floaters mistaken for fruit."""
+    """Add noise on positions and normals, and floaters mistaken for fruit."""
     n = len(gaussians)
     noise = rng.uniform(*setting.noise)
     means = gaussians.means.numpy() + rng.normal(0.0, noise, (n, 3))
@@ -315,7 +316,7 @@ def _roughened(
     quats = (tilts * turned).as_quat()[:, [3, 0, 1, 2]]
     extra = rng.integers(0, n, round(setting.floaters * int(fruit.sum())))
     floating = gaussians.select(torch.from_numpy(extra))
-    places = np.stack([_in_crown(rng) for _ in extra]) if len(extra) else np.zeros((0, 3))
+    places = np.stack([_sample_in_crown(rng) for _ in extra]) if len(extra) else np.zeros((0, 3))
     together = Gaussians(
         means=torch.from_numpy(np.concatenate([means, places])).float(),
         log_scales=torch.cat([gaussians.log_scales, torch.full((len(extra), 3), float(np.log(FLOATER)))]),

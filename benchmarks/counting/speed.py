@@ -51,7 +51,7 @@ class Stack:
         selected = select_gaussians(self.gaussians, self.probability, CountConfig())
         return selected[self.visibility.weights[selected] > 0]
 
-    def repeated(self, crowns: int) -> Stack:
+    def repeat(self, crowns: int) -> Stack:
         shifts = SPACING * torch.arange(crowns)[:, None, None] * torch.tensor([0.0, 0.0, 1.0])
         means = (self.gaussians.means + shifts).reshape(-1, 3)
         index = torch.arange(len(self.gaussians)).repeat(crowns)
@@ -60,12 +60,12 @@ class Stack:
             replace(self.gaussians.select(index), means=means),
             np.tile(self.probability, crowns),
             Visibility(seen.weights[own], seen.views[own], seen.directions[own], seen.frame),
-            [_moved(picture, crown * SPACING) for crown in range(crowns) for picture in self.pictures],
+            [_move_picture(picture, crown * SPACING) for crown in range(crowns) for picture in self.pictures],
         )
 
 
-def one_crown() -> Stack:
-    """A crown as its 36 cameras show it."""
+def make_crown() -> Stack:
+    """Make a crown as its 36 cameras show it."""
     simulation = simulate(SETTINGS[CROWN], SEED)
     probabilities = simulation.probability.double().numpy()
     visibility = find_visibility(simulation.gaussians, simulation.cameras)
@@ -78,20 +78,20 @@ def measure_counting(numbers: Sequence[int], *, progress: Progress = silent) -> 
     """Count in about this many points each, from the size of the fruit to their description."""
     if min(numbers) < 1:
         raise CountingError("--counting: give numbers of points from 1 on")
-    crown = one_crown()
-    _timed(crown, 20_000, silent)  # compiles
+    crown = make_crown()
+    _time_stages(crown, 20_000, silent)  # compiles
     return [
         row
         for place, points in enumerate(numbers)
-        for row in _timed(
-            crown.repeated(-(-points // POINTS)),
+        for row in _time_stages(
+            crown.repeat(-(-points // POINTS)),
             points,
             part(progress, place / len(numbers), (place + 1) / len(numbers)),
         )
     ]
 
 
-def _timed(stack: Stack, wanted: int, progress: Progress) -> list[Stage]:
+def _time_stages(stack: Stack, wanted: int, progress: Progress) -> list[Stage]:
     watch, config, seen = Stopwatch(), CountConfig(), stack.seen
     with watch.running():
         with watch.stage("size"):
@@ -126,8 +126,8 @@ def _tell(stack: Stack, fruit: Clusters, searched: Search, config: CountConfig, 
         estimate(gather_evidence(searched, everywhere, stack.pictures, seed=config.seed), len(centers))
 
 
-def _moved(picture: Picture, along: float) -> Picture:
-    """The picture of a crown that hangs higher, along z."""
+def _move_picture(picture: Picture, along: float) -> Picture:
+    """Return the picture of a crown that hangs higher, along z."""
     pose = picture.camera.world_to_camera.copy()
     pose[:3, 3] -= pose[:3, 2] * along
     return replace(picture, camera=replace(picture.camera, world_to_camera=pose))

@@ -29,8 +29,8 @@ class Touching:
     apart: int
 
 
-def touching_pairs(truth: Truth) -> IntArray:
-    """(K, 2) indices of true fruit that touch and are both visible to about 60 %."""
+def find_touching_pairs(truth: Truth) -> IntArray:
+    """Find the indices (K, 2) of true fruit that touch and are both visible to about 60 %."""
     tree = KDTree(truth.centers)
     near = tree.query_pairs(TOUCH * float(truth.diameters.max(initial=0.0)), output_type="ndarray").reshape(-1, 2)
     one, other = near.T
@@ -40,10 +40,10 @@ def touching_pairs(truth: Truth) -> IntArray:
     return near[chosen].astype(np.int64)
 
 
-def separated(centers: FloatArray, truth: Truth) -> Touching:
+def count_separated(centers: FloatArray, truth: Truth) -> Touching:
     """centers: (P, 3) of the counted fruit. Each belongs to the true fruit, visible or not, that is nearest in units of
     its diameter."""
-    pairs = touching_pairs(truth)
+    pairs = find_touching_pairs(truth)
     if len(pairs) == 0 or len(centers) == 0:
         return Touching(len(pairs), 0)
     distances = np.linalg.norm(centers[:, None] - truth.centers, axis=2) / truth.diameters

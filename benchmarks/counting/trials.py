@@ -16,7 +16,7 @@ from ...engine.evaluation.truth import Truth
 from ...engine.storage.files import files_hash
 from ...engine.storage.keys import stage_key
 from .baselines import Found
-from .touching import Touching, separated
+from .touching import Touching, count_separated
 
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Bounds of the classes of visible fraction."""
@@ -39,8 +39,8 @@ class Trial:
     touching: Touching
 
 
-def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: Truth) -> Trial:
-    """The result of a method, measured."""
+def measure_trial(setting: str, seed: int, method: str, key: str, found: Found, truth: Truth) -> Trial:
+    """Measure the result of a method."""
     judgement = judge(*found, truth)
     return Trial(
         setting=setting,
@@ -49,7 +49,7 @@ def tried(setting: str, seed: int, method: str, key: str, found: Found, truth: T
         key=key,
         metrics=measure(judgement, truth),
         classes=tuple(measure_by_visibility(judgement, truth, EDGES)),
-        touching=separated(found[0], truth),
+        touching=count_separated(found[0], truth),
     )
 
 
@@ -63,12 +63,12 @@ def trials_csv(trials: Sequence[Trial]) -> str:
     """One line per trial, with unrounded figures."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_NAMES, *_figures(), *_touching(), *(name for names in _classes() for name in names)])
+    writer.writerow([*_NAMES, *_figures(), *_name_touching(), *(name for names in _classes() for name in names)])
     for trial in trials:
         writer.writerow(
             [getattr(trial, name) for name in _NAMES]
             + [getattr(trial.metrics, name) for name in _figures()]
-            + [getattr(trial.touching, name) for name in _touching()]
+            + [getattr(trial.touching, name) for name in _name_touching()]
             + [getattr(part, name) for part in trial.classes for name in _CLASS]
         )
     return text.getvalue()
@@ -102,7 +102,7 @@ def _trial(row: Mapping[str, str]) -> Trial:
         key=row["key"],
         metrics=metrics_of(row),
         classes=tuple(classes),
-        touching=Touching(*(int(row[name]) for name in _touching())),
+        touching=Touching(*(int(row[name]) for name in _name_touching())),
     )
 
 
@@ -119,7 +119,7 @@ def _figures() -> Mapping[str, str]:
     return CountMetrics.__annotations__
 
 
-def _touching() -> Sequence[str]:
+def _name_touching() -> Sequence[str]:
     return tuple(Touching.__dataclass_fields__)
 
 

@@ -14,7 +14,7 @@ from ...engine.storage.files import write_text
 from ..plots import save_plot
 from .code_state import ROOT
 from .records import Record
-from .studies import STUDIES, of_study
+from .studies import STUDIES, select_study
 from .tables import STUDY_OF, TABLES, condition_results, head, summary_line
 
 DOCUMENTS = ("README.md", "docs/accuracy.md", "benchmarks/RESULTS.md")
@@ -22,14 +22,14 @@ CONDITIONS_PICTURE = ROOT / "docs" / "images" / "conditions.png"
 _BLOCK = re.compile(r"(<!-- table ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def filled(text: str, records: Sequence[Record]) -> str:
-    """A document with every table as the records have it."""
+def fill(text: str, records: Sequence[Record]) -> str:
+    """Return a document with every table as the records have it."""
 
     def block(found: re.Match[str]) -> str:
         name = found[2]
         study = STUDY_OF.get(name)
         parts = [head(study, records)] if study else []
-        if not study or of_study(study, records):
+        if not study or select_study(study, records):
             parts.append(TABLES[name](records))
         if name in STUDIES:
             parts.append(summary_line(name, records))
@@ -42,8 +42,8 @@ def write_documents(records: Sequence[Record]) -> None:
     """Fill the tables of all documents, and draw the picture of the conditions if any was measured."""
     for name in DOCUMENTS:
         path = ROOT / name
-        write_text(path, filled(path.read_text(encoding="utf-8"), records))
-    own = condition_results(of_study("conditions", records))
+        write_text(path, fill(path.read_text(encoding="utf-8"), records))
+    own = condition_results(select_study("conditions", records))
     if len(own) > 1:
         draw_conditions([(words, result.near.f1 if result.near else 0.0) for words, result in own], CONDITIONS_PICTURE)
 

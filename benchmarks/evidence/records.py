@@ -88,6 +88,6 @@ def write_records(records: Sequence[Record], path: Path = RESULTS) -> None:
     write_text(path, table_csv([record.cells for record in ordered], COLUMNS + PROVENANCE))
 
 
-def merged(earlier: Iterable[Record], later: Iterable[Record]) -> list[Record]:
-    """All records; a later one of a trial replaces the earlier one."""
+def merge_records(earlier: Iterable[Record], later: Iterable[Record]) -> list[Record]:
+    """Return all records; a later one of a trial replaces the earlier one."""
     return list({record.trial: record for record in (*earlier, *later)}.values())

@@ -106,9 +106,9 @@ def training_of(trial: Trial) -> Preset:
     return next((study.training for study in STUDIES.values() if trial in study.trials), "standard")
 
 
-def of_study(name: str, records: Iterable[Record]) -> dict[Trial, Record]:
-    """The records of a study, in its order: those of the present code or, if there are none, those of earlier code.
-    A table never compares rows of different code."""
+def select_study(name: str, records: Iterable[Record]) -> dict[Trial, Record]:
+    """Select the records of a study, in its order: those of the present code or, if there are none, those of earlier
+    code. A table never compares rows of different code."""
     by_trial = {record.trial: record for record in records}
     own = {trial: by_trial[trial] for trial in STUDIES[name].trials if trial in by_trial}
     return {trial: record for trial, record in own.items() if not record.stale} or own

@@ -17,10 +17,10 @@ from ..ladder.ladder import StageResult
 from ..ladder.pages import table_parts, visibility_rows
 from ..ladder.stages import END_TO_END, TRUE_MASKS, TRUE_POSES
 from ..markdown import markdown
-from ..shared_errors import MeasuredTree, held_sums, held_sums_left_out, shared_error
+from ..shared_errors import MeasuredTree, estimate_shared_error, measure_held_sums, measure_held_sums_left_out
 from ..two_photos import TWO_PHOTOS
 from .records import Record, Trial
-from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, of_study
+from .studies import CONDITIONS, SEEDS, SPECIES, STUDIES, select_study
 
 MIN_TREES = 10
 """The share of fewer trees is too uncertain to be given an interval."""
@@ -31,7 +31,7 @@ METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "F
 
 def head(name: str, records: Sequence[Record]) -> str:
     """Where a study comes from, and whether it is stale or not complete."""
-    own, wanted = of_study(name, records), STUDIES[name].trials
+    own, wanted = select_study(name, records), STUDIES[name].trials
     if not own:
         return "Not measured yet: `make tables`."
     cells = [record.cells for record in own.values()]
@@ -46,9 +46,9 @@ def head(name: str, records: Sequence[Record]) -> str:
     return text
 
 
-def known_cameras(records: Sequence[Record]) -> str:
-    """F1 by species and seed with true cameras, for the README."""
-    own = of_study("known-cameras", records)
+def tabulate_known_cameras(records: Sequence[Record]) -> str:
+    """Tabulate F1 by species and seed with true cameras, for the README."""
+    own = select_study("known-cameras", records)
     lines = [["species"]]
     for seed in SEEDS[1:]:
         lines[0] += [f"seed {seed}: visible, counted", "F1"]
@@ -56,7 +56,7 @@ def known_cameras(records: Sequence[Record]) -> str:
     for species in SPECIES:
         line = [species]
         for seed in SEEDS[1:]:
-            near = _near(own.get(Trial(scene=f"{species}-small-{seed}", stage=TRUE_POSES)))
+            near = _find_near(own.get(Trial(scene=f"{species}-small-{seed}", stage=TRUE_POSES)))
             line += [f"{near.visible}, {near.predicted}", _score(near.f1)] if near else ["", ""]
             scores[seed] += [near.f1] if near else []
         lines.append(line)
@@ -66,13 +66,13 @@ def known_cameras(records: Sequence[Record]) -> str:
     return markdown([*lines, last])
 
 
-def photos_alone(records: Sequence[Record]) -> str:
-    """True cameras and photos alone, by species: the scenes that were measured with both."""
+def tabulate_photos_alone(records: Sequence[Record]) -> str:
+    """Tabulate true cameras and photos alone, by species: the scenes that were measured with both."""
     lines = [["species", "scenes", "F1, true cameras", "F1, photos alone", "worst", "photos placed"]]
     lines[0] += ["centres / mm", "directions / °"]
     whole = list[_BothCameras]()
     for species in SPECIES:
-        pairs = _both_cameras("ladder", [f"{species}-small-{seed}" for seed in SEEDS], records)
+        pairs = _select_both_cameras("ladder", [f"{species}-small-{seed}" for seed in SEEDS], records)
         whole += pairs
         if pairs:
             lines.append([species, *_means_of(pairs)])
@@ -91,15 +91,17 @@ class _BothCameras:
     cameras: CameraErrors | None
 
 
-def _both_cameras(study: str, scenes: Sequence[str], records: Sequence[Record]) -> list[_BothCameras]:
-    """The scenes of a study that have both rows."""
-    own = of_study(study, records)
+def _select_both_cameras(study: str, scenes: Sequence[str], records: Sequence[Record]) -> list[_BothCameras]:
+    """Select the scenes of a study that have both rows."""
+    own = select_study(study, records)
     found = []
     for scene in scenes:
-        known = _near(own.get(Trial(scene=scene, stage=TRUE_POSES)))
+        known = _find_near(own.get(Trial(scene=scene, stage=TRUE_POSES)))
         record = own.get(Trial(scene=scene, stage=END_TO_END))
         if known and record:
-            found.append(_BothCameras(scene=scene, known=known, alone=_near(record), cameras=record.result.cameras))
+            found.append(
+                _BothCameras(scene=scene, known=known, alone=_find_near(record), cameras=record.result.cameras)
+            )
     return found
 
 
@@ -126,9 +128,9 @@ def _camera_cells(cameras: Sequence[CameraErrors]) -> list[str]:
     return [f"{1000.0 * center:.1f}, {1000.0 * center_90:.1f}", f"{rotation:.2f}, {rotation_90:.2f}"]
 
 
-def phone(records: Sequence[Record]) -> str:
-    """True cameras and photos alone by scene, for photos of a phone's size."""
-    pairs = _both_cameras("phone", [scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
+def tabulate_phone(records: Sequence[Record]) -> str:
+    """Tabulate true cameras and photos alone by scene, for photos of a phone's size."""
+    pairs = _select_both_cameras("phone", [scene.replace(":", "-") for scene in STUDIES["phone"].scenes], records)
     lines = [["scene", "visible", "counted", "F1", "counted, photos alone", "F1, photos alone", "photos placed"]]
     lines[0] += ["centres / mm", "directions / °"]
     for each in pairs:
@@ -139,49 +141,50 @@ def phone(records: Sequence[Record]) -> str:
     return markdown(lines)
 
 
-def whole(records: Sequence[Record]) -> str:
-    """Whole trees with true cameras and from photos alone, where they were measured."""
-    own = of_study("whole", records)
+def tabulate_whole(records: Sequence[Record]) -> str:
+    """Tabulate whole trees with true cameras and from photos alone, where they were measured."""
+    own = select_study("whole", records)
     measured = ["counted", "F1", "diameter bias"]
     lines = [["tree", "visible", *measured, *(f"{name}, photos alone" for name in measured)]]
     known, alone = list[float](), list[float]()
     for name in (scene.replace(":", "-") for scene in STUDIES["whole"].scenes):
         both = [own.get(Trial(scene=name, stage=stage)) for stage in (TRUE_POSES, END_TO_END)]
-        visible = [str(near.visible) for near in map(_near, both) if near]
+        visible = [str(near.visible) for near in map(_find_near, both) if near]
         if any(both):
-            lines.append([name, *(visible[:1] or [""]), *_counted(both[0]), *_counted(both[1])])
+            lines.append([name, *(visible[:1] or [""]), *_count_cells(both[0]), *_count_cells(both[1])])
         for record, scores in zip(both, (known, alone), strict=True):
-            scores += [near.f1 if (near := _near(record)) else 0.0] if record else []
+            scores += [near.f1 if (near := _find_near(record)) else 0.0] if record else []
     if len(lines) > 1:
         means = [_score(mean(scores)) if scores else "" for scores in (known, alone)]
         lines.append(["**mean**", "", "", means[0], "", "", means[1], ""])
     return markdown(lines)
 
 
-def _counted(record: Record | None) -> list[str]:
-    """Number, F1 and bias of the diameters of a count; empty where it was not measured."""
-    near = _near(record)
+def _count_cells(record: Record | None) -> list[str]:
+    """Return number, F1 and bias of the diameters of a count; empty where it was not measured."""
+    near = _find_near(record)
     if near is None:
         return ["", "failed" if record else "", ""]
     return [str(near.predicted), _score(near.f1), f"{near.diameter_bias:+.1%}"]
 
 
-def ladder(records: Sequence[Record]) -> str:
-    """The ablation ladder with all its tables."""
-    own = [record.result for record in of_study("ladder", records).values()]
+def tabulate_ladder(records: Sequence[Record]) -> str:
+    """Tabulate the ablation ladder with all its tables."""
+    own = [record.result for record in select_study("ladder", records).values()]
     return "\n\n".join(table_parts(own))
 
 
-def missed(records: Sequence[Record]) -> str:
-    """Share of the fruit that are found, by their largest visible part, on trained Gaussians of the ladder."""
-    own = [record.result for record in of_study("ladder", records).values()]
+def tabulate_missed(records: Sequence[Record]) -> str:
+    """Tabulate the share of the fruit that are found, by their largest visible part, on trained Gaussians of the
+    ladder."""
+    own = [record.result for record in select_study("ladder", records).values()]
     lines = visibility_rows([each for each in own if each.stage in (TRUE_MASKS, TRUE_POSES)])
     return markdown(lines) if lines else ""
 
 
-def conditions(records: Sequence[Record]) -> str:
-    """One condition changed at a time."""
-    own = of_study("conditions", records)
+def tabulate_conditions(records: Sequence[Record]) -> str:
+    """Tabulate the scores with one condition changed at a time."""
+    own = select_study("conditions", records)
     lines = [["condition", "visible", "counted", "F1", "precision", "recall"]]
     for words, result in condition_results(own):
         near = result.near
@@ -204,13 +207,13 @@ def condition_results(own: Mapping[Trial, Record]) -> list[tuple[str, StageResul
     return found
 
 
-def methods(records: Sequence[Record]) -> str:
-    """Other ways of counting in the same Gaussians with the same masks."""
-    own = of_study("methods", records)
+def tabulate_methods(records: Sequence[Record]) -> str:
+    """Tabulate other ways of counting in the same Gaussians with the same masks."""
+    own = select_study("methods", records)
     lines = [["scene", *METHODS.values()]]
     scores: dict[str, list[float]] = {name: [] for name in METHODS}
     for scene in dict.fromkeys(trial.scene for trial in STUDIES["methods"].trials):
-        near = {name: _near(own.get(Trial(scene=scene, stage=TRUE_POSES, method=name))) for name in METHODS}
+        near = {name: _find_near(own.get(Trial(scene=scene, stage=TRUE_POSES, method=name))) for name in METHODS}
         if all(near.values()):
             for name, each in near.items():
                 scores[name] += [each.f1] if each else []
@@ -219,10 +222,10 @@ def methods(records: Sequence[Record]) -> str:
     return markdown(lines)
 
 
-def two_photos(records: Sequence[Record]) -> str:
-    """Errors of the number of all fruit on trees that bear different numbers, and how much of the differences between
-    trees of a species each method shows."""
-    trees = _two_ways(records)
+def tabulate_two_photos(records: Sequence[Record]) -> str:
+    """Tabulate errors of the number of all fruit on trees that bear different numbers, and how much of the differences
+    between trees of a species each method shows."""
+    trees = _list_two_ways(records)
     errors = [["trees", "fruit", "mean of the other trees", "two photos × factor", "our count × factor"]]
     errors[0] += ["our estimate of all fruit"]
     shares = [["trees", "two photos", "our count", "our estimate of all fruit"]]
@@ -235,11 +238,11 @@ def two_photos(records: Sequence[Record]) -> str:
         totals = [tree.total for tree in own]
         errors.append([f"{len(own)} {name}", f"{min(totals)}–{max(totals)}", *_mean_and_worst(errors_of_species)])
         if len(own) > 2:
-            shares.append([f"{len(own)} {name}", *map(_score, _explained([own]))])
+            shares.append([f"{len(own)} {name}", *map(_score, _measure_explained([own]))])
     if not whole:
         return markdown(errors)
     errors.append([f"**all {len(whole)}**", "", *_mean_and_worst(whole)])
-    shares.append([f"**all {len(whole)}**", *map(_score, _explained(list(groups.values())))])
+    shares.append([f"**all {len(whole)}**", *map(_score, _measure_explained(list(groups.values())))])
     return f"{markdown(errors)}\n\n{markdown(shares)}"
 
 
@@ -268,22 +271,22 @@ class _TwoWays:
         return [abs(number / self.total - 1.0) for number in numbers]
 
 
-def _explained(species: Sequence[Sequence[_TwoWays]]) -> list[float]:
-    """R², the squared correlation with the true total between trees of a species, of each method's numbers. Numbers of
-    different species are compared after division by the species' mean."""
+def _measure_explained(species: Sequence[Sequence[_TwoWays]]) -> list[float]:
+    """Measure R², the squared correlation with the true total between trees of a species, of each method's numbers.
+    Numbers of different species are compared after division by the species' mean."""
     parts = [np.array([(tree.total, *tree.numbers) for tree in own], np.float64) for own in species]
     relative = np.vstack([part / np.maximum(part.mean(axis=0), 1e-9) - 1.0 for part in parts])
     with np.errstate(invalid="ignore"):
         return [float(value) for value in np.corrcoef(relative.T)[0, 1:] ** 2]
 
 
-def _two_ways(records: Sequence[Record]) -> list[_TwoWays]:
-    """The trees that were counted in both ways, with our estimate of all fruit."""
-    own = of_study(TWO_PHOTOS, records)
+def _list_two_ways(records: Sequence[Record]) -> list[_TwoWays]:
+    """List the trees that were counted in both ways, with our estimate of all fruit."""
+    own = select_study(TWO_PHOTOS, records)
     found = []
     for trial, record in own.items():
         ours = own.get(replace(trial, method="voting"))
-        near = _near(ours)
+        near = _find_near(ours)
         if trial.method != TWO_PHOTOS or ours is None or near is None or record.result.counted is None:
             continue
         if ours.result.total_estimate is None:
@@ -304,9 +307,9 @@ def _mean_and_worst(errors: Sequence[Sequence[float]]) -> list[str]:
     return [f"{100 * mean(column):.0f} %, {100 * max(column):.0f} %" for column in zip(*errors, strict=True)]
 
 
-def intervals(records: Sequence[Record]) -> str:
-    """How often the 90 % intervals hold, by species and by the origin of the cameras: of rows of the present code or,
-    if there are none, of earlier code."""
+def tabulate_intervals(records: Sequence[Record]) -> str:
+    """Tabulate how often the 90 % intervals hold, by species and by the origin of the cameras: of rows of the present
+    code or, if there are none, of earlier code."""
     own = [each for each in records if each.trial.method == "voting" and each.trial.stage in (TRUE_POSES, END_TO_END)]
     current = [record.result for record in own if not record.stale]
     results = current or [record.result for record in own]
@@ -320,8 +323,8 @@ def intervals(records: Sequence[Record]) -> str:
         whole = [each for each in members if each.interval and each.total_interval and each.near]
         if whole:
             trees = {_tree(each) for each in whole}
-            lines.append([name, str(len(whole)), str(len(trees)), *_held(whole, of_all=False)])
-            lines[-1] += _held(whole, of_all=True)
+            lines.append([name, str(len(whole)), str(len(trees)), *_count_held(whole, of_all=False)])
+            lines[-1] += _count_held(whole, of_all=True)
     table = markdown(lines)
     return table if current or not results else f"**Stale**: measured with earlier code.\n\n{table}"
 
@@ -331,9 +334,9 @@ def _tree(result: StageResult) -> tuple[str, int | None]:
     return result.species, result.seed
 
 
-def _held(results: Sequence[StageResult], *, of_all: bool) -> list[str]:
-    """How many numbers lie in their intervals, of enough trees with the 95 % interval of that share, and the intervals'
-    mean width."""
+def _count_held(results: Sequence[StageResult], *, of_all: bool) -> list[str]:
+    """Say how many numbers lie in their intervals, of enough trees with the 95 % interval of that share, and the
+    intervals' mean width."""
     by_tree: dict[tuple[str, int | None], list[bool]] = {}
     widths = []
     for each in results:
@@ -359,30 +362,32 @@ def share_interval(shares: Sequence[float]) -> tuple[float, float]:
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
-def shared_errors(records: Sequence[Record]) -> str:
-    """The correlation of errors within species, and how often the intervals of sums of three trees of a species hold,
-    by the share of the variance that is taken as common to them."""
+def tabulate_shared_errors(records: Sequence[Record]) -> str:
+    """Tabulate the correlation of errors within species, and how often the intervals of sums of three trees of a
+    species hold, by the share of the variance that is taken as common to them."""
     lines = [["number", "correlation within species", "one tree", "sums: independent", "half shared", "as used"]]
     lines[0] += ["from the other species"]
     for stage, cameras in ((END_TO_END, "photos alone"), (TRUE_POSES, "true cameras")):
         for name, shared in (("visible", SHARED_VISIBLE), ("total", SHARED_ALL)):
-            trees = _measured_trees(records, stage, name)
+            trees = _select_measured_trees(records, stage, name)
             if len(trees) < 3 or min(map(len, trees.values())) < 2:
                 continue
-            found = shared_error(trees)
-            held = [mean(held_sums(own, 0.0, 1) for own in trees.values())]
-            held += [mean(held_sums(own, each, SUM_SIZE) for own in trees.values()) for each in (0.0, 0.5, shared)]
-            held.append(held_sums_left_out(trees, SUM_SIZE))
+            found = estimate_shared_error(trees)
+            held = [mean(measure_held_sums(own, 0.0, 1) for own in trees.values())]
+            held += [
+                mean(measure_held_sums(own, each, SUM_SIZE) for own in trees.values()) for each in (0.0, 0.5, shared)
+            ]
+            held.append(measure_held_sums_left_out(trees, SUM_SIZE))
             correlation = f"{found.value:.2f} ({found.low:.2f}–{found.high:.2f})"
             fruit = {"visible": "visible", "total": "all"}[name]
             lines.append([f"{fruit}, {cameras}", correlation, *(f"{100 * each:.0f} %" for each in held)])
     return markdown(lines) if len(lines) > 1 else ""
 
 
-def _measured_trees(records: Sequence[Record], stage: str, number: str) -> dict[str, list[MeasuredTree]]:
-    """{species: its trees in a stage of the ladder}. number: of the fruit that are counted, visible or total."""
+def _select_measured_trees(records: Sequence[Record], stage: str, number: str) -> dict[str, list[MeasuredTree]]:
+    """Select {species: its trees in a stage of the ladder}. number: of the fruit that are counted, visible or total."""
     found: dict[str, list[MeasuredTree]] = {}
-    for record in of_study("ladder", records).values():
+    for record in select_study("ladder", records).values():
         result = record.result
         interval = result.interval if number == "visible" else result.total_interval
         if record.trial.stage == stage and interval is not None and result.near is not None:
@@ -393,7 +398,7 @@ def _measured_trees(records: Sequence[Record], stage: str, number: str) -> dict[
 
 def summary_line(name: str, records: Sequence[Record]) -> str:
     """Mean F1, precision and recall with true cameras of a study of all species, and its worst scene."""
-    own = [each.result for each in of_study(name, records).values() if each.trial.stage == TRUE_POSES]
+    own = [each.result for each in select_study(name, records).values() if each.trial.stage == TRUE_POSES]
     near = [each.near for each in own if each.near]
     if not near or name not in ("known-cameras", "ladder"):
         return ""
@@ -406,7 +411,7 @@ def summary_line(name: str, records: Sequence[Record]) -> str:
     )
 
 
-def _near(record: Record | None) -> CountMetrics | None:
+def _find_near(record: Record | None) -> CountMetrics | None:
     return record.result.near if record else None
 
 
@@ -415,17 +420,17 @@ def _score(value: float) -> str:
 
 
 TABLES: Mapping[str, Callable[[Sequence[Record]], str]] = {
-    "known-cameras": known_cameras,
-    "ladder": ladder,
-    "photos-alone": photos_alone,
-    "missed": missed,
-    "phone": phone,
-    "whole": whole,
-    "conditions": conditions,
-    "methods": methods,
-    TWO_PHOTOS: two_photos,
-    "intervals": intervals,
-    "shared-errors": shared_errors,
+    "known-cameras": tabulate_known_cameras,
+    "ladder": tabulate_ladder,
+    "photos-alone": tabulate_photos_alone,
+    "missed": tabulate_missed,
+    "phone": tabulate_phone,
+    "whole": tabulate_whole,
+    "conditions": tabulate_conditions,
+    "methods": tabulate_methods,
+    TWO_PHOTOS: tabulate_two_photos,
+    "intervals": tabulate_intervals,
+    "shared-errors": tabulate_shared_errors,
 }
 """{name of a block of a document: its table}."""
 STUDY_OF: Mapping[str, str] = {name: name for name in STUDIES} | {"photos-alone": "ladder", "missed": "ladder"}

@@ -29,8 +29,8 @@ _FIRM = 0.25
 _LEAST_PAIRS = 30
 
 
-def by_cameras(found: Scene, true: Scene) -> Similarity:
-    """The similarity from the frame of `found` to that of `true`, by the centres of common cameras.
+def align_by_cameras(found: Scene, true: Scene) -> Similarity:
+    """Find the similarity from the frame of `found` to that of `true`, by the centres of common cameras.
 
     Raises:
         SceneError: fewer than 3 are common, or they stand on one line.
@@ -38,22 +38,23 @@ def by_cameras(found: Scene, true: Scene) -> Similarity:
     return camera_similarity(cameras_by_file(found), cameras_by_file(true))
 
 
-def by_fruit(
+def align_by_fruit(
     gaussians: Gaussians,
     found: Scene,
     true: Scene,
     depths: Sequence[NDArray[np.float32]],
     instances: Sequence[NDArray[np.uint16]],
 ) -> Similarity:
-    """The similarity from the frame of `found` to that of `true`, by the true positions of the pixels that show fruit.
+    """Find the similarity from the frame of `found` to that of `true`, by the true positions of the pixels that show
+    fruit.
 
     Estimated cameras are off by centimetres, and so is a frame aligned by their centres; this aligns the surfaces that
     are counted. Each Gaussian of `found` covers pixels of the photos; depths (H, W) and instances (H, W) of the views
     of `true` give the position of each pixel on a fruit. The true position of a Gaussian whose pixels agree is their
-    mean, weighted by coverage. With fewer than 30 such Gaussians `by_cameras` is used.
+    mean, weighted by coverage. With fewer than 30 such Gaussians `align_by_cameras` is used.
 
     Raises:
-        SceneError: as `by_cameras`.
+        SceneError: as `align_by_cameras`.
     """
     middle = true.middle  # float32 sums of squares want small numbers
     shown = {
@@ -64,7 +65,7 @@ def by_fruit(
     for photo, camera in zip(found.images, found.cameras, strict=True):
         places = shown.get(Path(photo.name).name)
         if places is not None:
-            drawn = accumulate(gaussians, camera, torch.from_numpy(as_seen(photo, places)))
+            drawn = accumulate(gaussians, camera, torch.from_numpy(warp_to_view(photo, places)))
             sums += drawn.sums
             weights += drawn.weights
     totals, of_fruit = sums.double().numpy(), sums[:, 3].numpy()
@@ -74,12 +75,13 @@ def by_fruit(
     spread = totals[chosen, 4] / totals[chosen, 3] - (target**2).sum(axis=1)
     firm = np.argsort(spread, kind="stable")[: int(_FIRM * len(chosen))]
     if len(firm) < _LEAST_PAIRS:
-        return by_cameras(found, true)
+        return align_by_cameras(found, true)
     return align(gaussians.means.double().numpy()[chosen[firm]], target[firm] + middle)
 
 
-def as_seen(photo: Photo, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(H, W, C) values of the undistorted photo's pixels, from the nearest pixel of the original; 0 outside."""
+def warp_to_view(photo: Photo, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the values (H, W, C) of the undistorted photo's pixels, from the nearest pixel of the original; 0
+    outside."""
     if not isinstance(photo, FilePhoto) or photo.lens.is_pinhole:
         return values
     source = source_map(photo.lens, photo.face, photo.width, photo.height)

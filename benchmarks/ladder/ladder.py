@@ -101,24 +101,24 @@ def climb(
         report(f"{folder.name}: no true masks for {', '.join(dropped)}")
     bench = LadderStages(folder, out, truth, read_views(truth_file) if truth else [], asked, config)
     inputs = [Source(path=folder).hash(), file_hash(truth_file) if truth else "", files_hash(masks, folder)]
-    made_by = _made_by(config)
+    made_by = _make_key(config)
     rows = []
     for number, name in enumerate(chosen):
         share = part(progress, number / len(chosen), (number + 1) / len(chosen))
         key = stage_key(_ROOMS, made_by, *inputs, config, name, *asked)
         row = StageResult(species=origin.species, seed=origin.seed, scene=out.name, stage=name, counted=None)
         try:
-            counted = _kept(out / f"{name}.json", key)
+            counted = _read_kept(out / f"{name}.json", key)
             if counted is None:
                 counted = bench.run(name, share)
                 write_text(out / f"{name}.json", _dump(counted, key))
-            found = _counted(row, counted)
+            found = _add_count(row, counted)
             if truth is not None:
                 instances = bench.instances if masks else ()
                 judgement = judge(counted.centers, counted.diameters, truth)
                 picture = out / f"mistakes_{name}.png"
                 draw_mistakes(picture, bench.scene, truth, counted, judgement, instances)
-                found = _measured(found, counted, truth, judgement, picture.name)
+                found = _add_measures(found, counted, truth, judgement, picture.name)
             row = found
         except FruitLangsError as error:
             row = dataclasses.replace(row, failed=" ".join(str(error).split()))
@@ -127,9 +127,9 @@ def climb(
     return rows
 
 
-def _made_by(config: Config) -> str:
-    """Key of what a count depends on besides the code of packages and the inputs: the pipeline's own code, weights and
-    pycolmap."""
+def _make_key(config: Config) -> str:
+    """Make the key of what a count depends on besides the code of packages and the inputs: the pipeline's own code,
+    weights and pycolmap."""
     root = Path(__file__).resolve().parents[2]
     chain = [root / "engine" / name for name in ("pipeline.py", "reconstruction.py")]
     own = [root / "benchmarks" / "ladder" / name for name in ("stages.py", "frames.py")]
@@ -137,7 +137,7 @@ def _made_by(config: Config) -> str:
     return f"{code} {open_encoder(config.embed).identity} {version('pycolmap')}"
 
 
-def _counted(row: StageResult, counted: Counted) -> StageResult:
+def _add_count(row: StageResult, counted: Counted) -> StageResult:
     return dataclasses.replace(
         row,
         counted=len(counted.centers),
@@ -152,7 +152,7 @@ def _counted(row: StageResult, counted: Counted) -> StageResult:
     )
 
 
-def _measured(row: StageResult, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> StageResult:
+def _add_measures(row: StageResult, counted: Counted, truth: Truth, judgement: Judgement, picture: str) -> StageResult:
     return dataclasses.replace(
         row,
         near=measure(judgement, truth),
@@ -180,8 +180,8 @@ def _dump(counted: Counted, key: str) -> str:
     return json.dumps({"key": key, **document, "seconds": dict(counted.seconds)}, indent=1) + "\n"
 
 
-def _kept(path: Path, key: str) -> Counted | None:
-    """The count of an earlier run with this key; a damaged record is computed again."""
+def _read_kept(path: Path, key: str) -> Counted | None:
+    """Read the count of an earlier run with this key; a damaged record is computed again."""
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if document.pop("key") != key:

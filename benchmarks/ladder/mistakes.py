@@ -46,7 +46,7 @@ class _Disc:
     v: float
     radius: float
 
-    def inside(self, camera: Camera) -> bool:
+    def is_inside(self, camera: Camera) -> bool:
         """Whether all of it is in the frame of the camera."""
         r = self.radius
         return r <= self.u <= camera.width - r and r <= self.v <= camera.height - r
@@ -65,7 +65,7 @@ def draw_mistakes(
     True visible fruit have a green circle, counted fruit an orange one. Without mistakes there is only a line of text.
     instances: (H, W) fruit ids of each view, if known: they define the best view of a true fruit.
     """
-    mistakes = list(_worst(truth, counted, judgement))
+    mistakes = list(_iterate_worst(truth, counted, judgement))
     kinds = list(dict.fromkeys(mistake.kind for mistake in mistakes))
     height = max(1, len(kinds)) * (SIDE + TITLE)
     sheet = Image.new("RGB", (EACH * (SIDE + 2), height if kinds else TITLE), (20, 20, 20))
@@ -87,20 +87,20 @@ def draw_mistakes(
         sheet.save(temporary)
 
 
-def _worst(truth: Truth, counted: Counted, judgement: Judgement) -> Iterator[_Mistake]:
-    """Missed and merged fruit, the most visible first; doubles and false ones, the most probable first."""
+def _iterate_worst(truth: Truth, counted: Counted, judgement: Judgement) -> Iterator[_Mistake]:
+    """Yield missed and merged fruit, the most visible first; doubles and false ones, the most probable first."""
     for kind, fruits in (("missed", judgement.missed), ("merged", judgement.merged)):
-        for fruit in _largest(fruits, truth.visible_fractions):
+        for fruit in _sort_largest(fruits, truth.visible_fractions):
             text = f"{truth.visible_fractions[fruit]:.0%} seen"
             number = 0 if truth.ids is None else int(truth.ids[fruit])
             yield _Mistake(kind, text, truth.centers[fruit], float(truth.diameters[fruit]), number)
     for kind, found in (("double", judgement.doubles), ("false", judgement.false)):
-        for index in _largest(found, counted.probabilities):
+        for index in _sort_largest(found, counted.probabilities):
             text = f"p {counted.probabilities[index]:.2f}"
             yield _Mistake(kind, text, counted.centers[index], float(counted.diameters[index]))
 
 
-def _largest(index: NDArray[np.int64], values: FloatArray) -> NDArray[np.int64]:
+def _sort_largest(index: NDArray[np.int64], values: FloatArray) -> NDArray[np.int64]:
     return index[np.argsort(-values[index], kind="stable")][:EACH]
 
 
@@ -108,11 +108,11 @@ def _crop(
     scene: Scene, truth: Truth, counted: Counted, mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]
 ) -> Image.Image | None:
     """The photo around a fruit in its best view; None if no view shows it."""
-    best = _best_view(scene.cameras, mistake, instances)
+    best = _find_best_view(scene.cameras, mistake, instances)
     if best is None:
         return None
     camera = scene.cameras[best]
-    subject = _disc(camera, mistake.center, mistake.diameter)
+    subject = _project_disc(camera, mistake.center, mistake.diameter)
     if subject is None:
         return None
     half = min(CROP_DIAMETERS * subject.radius, camera.width / 2, camera.height / 2)
@@ -124,10 +124,12 @@ def _crop(
     crop = photo.transform((SIDE, SIDE), Image.Transform.EXTENT, box, Image.Resampling.BICUBIC)
     canvas = ImageDraw.Draw(crop)
     visible = truth.visible
-    rings = [(center, size, TRUE) for center, size in _near(truth.centers[visible], truth.diameters[visible], mistake)]
-    rings += [(center, size, FOUND) for center, size in _near(counted.centers, counted.diameters, mistake)]
+    rings = [
+        (center, size, TRUE) for center, size in _find_near(truth.centers[visible], truth.diameters[visible], mistake)
+    ]
+    rings += [(center, size, FOUND) for center, size in _find_near(counted.centers, counted.diameters, mistake)]
     for center, size, color in rings:
-        disc = _disc(camera, center, size)
+        disc = _project_disc(camera, center, size)
         if disc is None:
             continue
         x, y, r = (disc.u - left) * zoom, (disc.v - top) * zoom, disc.radius * zoom
@@ -138,28 +140,30 @@ def _crop(
     return crop
 
 
-def _near(centers: FloatArray, diameters: FloatArray, mistake: _Mistake) -> list[tuple[FloatArray, float]]:
-    """Fruit within a few diameters of the mistake, so that no circle of the far side is drawn."""
+def _find_near(centers: FloatArray, diameters: FloatArray, mistake: _Mistake) -> list[tuple[FloatArray, float]]:
+    """Find fruit within a few diameters of the mistake, so that no circle of the far side is drawn."""
     close = np.linalg.norm(centers - mistake.center, axis=1) < 3.0 * mistake.diameter
     return [(center, float(size)) for center, size in zip(centers[close], diameters[close], strict=True)]
 
 
-def _best_view(cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]) -> int | None:
-    """The view with most pixels of a true fruit, else the one in which the disc of the fruit is largest and in
+def _find_best_view(
+    cameras: Sequence[Camera], mistake: _Mistake, instances: Sequence[NDArray[np.uint16]]
+) -> int | None:
+    """Find the view with most pixels of a true fruit, else the one in which the disc of the fruit is largest and in
     frame."""
     if mistake.id and instances:
         pixels = [int((mask == mistake.id).sum()) for mask in instances]
         return int(np.argmax(pixels)) if max(pixels) else None
     best, largest = None, 0.0
     for view, camera in enumerate(cameras):
-        disc = _disc(camera, mistake.center, mistake.diameter)
-        if disc is not None and disc.inside(camera) and disc.radius > largest:
+        disc = _project_disc(camera, mistake.center, mistake.diameter)
+        if disc is not None and disc.is_inside(camera) and disc.radius > largest:
             best, largest = view, disc.radius
     return best
 
 
-def _disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
-    """The picture of a sphere; None if it is not completely in front of the camera."""
+def _project_disc(camera: Camera, center: FloatArray, diameter: float) -> _Disc | None:
+    """Project a sphere; None if it is not completely in front of the camera."""
     (u, v), z = camera.project(center)
     focal = max(camera.K[0, 0], camera.K[1, 1])
     return _Disc(float(u), float(v), float(focal * 0.5 * diameter / z)) if z > diameter else None

@@ -35,9 +35,9 @@ class Loss:
         return max(known, key=lambda pair: pair[0])[1] if known else ""
 
 
-def losses(f1_by_stage: dict[str, float]) -> Loss:
-    """The loss of each part: of counting the difference to 1, of the others the difference to the stage with their
-    truth."""
+def measure_losses(f1_by_stage: dict[str, float]) -> Loss:
+    """Measure the loss of each part: of counting the difference to 1, of the others the difference to the stage with
+    their truth."""
 
     def of(stage: str) -> float:
         return f1_by_stage.get(stage, math.nan)
@@ -91,10 +91,12 @@ def stage_rows(rows: Sequence[StageResult]) -> list[list[str]]:
         visible = next((str(row.near.visible) for row in own.values() if row.near), "")
         f1 = {name: row.near.f1 for name, row in own.items() if row.near}
         whole += [row for row in own.values() if len(f1) == len(names)]
-        lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), losses(f1).largest])
+        lines.append([scene, visible, *(_f1_cell(own.get(name)) for name in names), measure_losses(f1).largest])
     summaries = {name: summarise(_metrics(rows, name)) for name in names}
-    last = losses({name: summarise(_metrics(whole, name)).f1 for name in names if whole})
-    lines.append(["mean F1", "", *(_number(summaries[name].f1) + _some(rows, name) for name in names), last.largest])
+    last = measure_losses({name: summarise(_metrics(whole, name)).f1 for name in names if whole})
+    lines.append(
+        ["mean F1", "", *(_number(summaries[name].f1) + _note_some(rows, name) for name in names), last.largest]
+    )
     lines.append(["mean precision", "", *(_number(summaries[name].precision) for name in names), ""])
     lines.append(["mean recall", "", *(_number(summaries[name].recall) for name in names), ""])
     lines.append(["bias of all counts", "", *(_percent(summaries[name].bias, sign=True) for name in names), ""])
@@ -106,7 +108,7 @@ def loss_rows(rows: Sequence[StageResult]) -> list[list[str]]:
     """How much F1 each part loses on each scene."""
     lines = [["scene", *LOSS_NAMES]]
     for scene in dict.fromkeys(row.scene for row in rows):
-        loss = losses({row.stage: row.near.f1 for row in rows if row.scene == scene and row.near})
+        loss = measure_losses({row.stage: row.near.f1 for row in rows if row.scene == scene and row.near})
         lines.append([scene, *(_number(value, sign=True) for value in loss.stages)])
     return lines
 
@@ -195,8 +197,8 @@ def _metrics(rows: Sequence[StageResult], stage: str) -> list[CountMetrics]:
     return [row.near for row in rows if row.stage == stage and row.near]
 
 
-def _some(rows: Sequence[StageResult], stage: str) -> str:
-    """A note on how many scenes a mean includes, if a stage failed on some."""
+def _note_some(rows: Sequence[StageResult], stage: str) -> str:
+    """Return a note on how many scenes a mean includes, if a stage failed on some."""
     own = [row for row in rows if row.stage == stage]
     failed = sum(bool(row.failed) for row in own)
     return f" ({len(own) - failed} of {len(own)})" if failed else ""

@@ -39,7 +39,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...engine.splatting.rendering.rasterize import accumulate
 from ...engine.storage.files import write_text
-from .frames import as_seen, by_cameras, by_fruit, cameras_by_file
+from .frames import align_by_cameras, align_by_fruit, cameras_by_file, warp_to_view
 
 FloatArray = NDArray[np.float64]
 
@@ -124,11 +124,11 @@ class LadderStages:
             FruitLangsError: it cannot be done, for example because no poses were found.
         """
         runners: dict[str, Callable[[Progress], Counted]] = {
-            COUNTING_ONLY: self._counting_only,
-            TRUE_GEOMETRY: self._true_geometry,
-            TRUE_MASKS: self._true_masks,
-            TRUE_POSES: self._true_poses,
-            END_TO_END: self._end_to_end,
+            COUNTING_ONLY: self._run_counting_only,
+            TRUE_GEOMETRY: self._run_true_geometry,
+            TRUE_MASKS: self._run_true_masks,
+            TRUE_POSES: self._run_true_poses,
+            END_TO_END: self._run_end_to_end,
         }
         return runners[name](progress)
 
@@ -136,7 +136,7 @@ class LadderStages:
     def scene(self) -> Scene:
         """The scene with its true cameras."""
         if self._scene is None:
-            self._scene = read_scene(self._true_source(), self.config.scene)
+            self._scene = read_scene(self._prepare_true_source(), self.config.scene)
         return self._scene
 
     @property
@@ -149,28 +149,28 @@ class LadderStages:
             self._instances = read
         return self._instances
 
-    def given(self, name: str, progress: Progress = silent) -> Given:
-        """The input of one of the stages with true masks.
+    def prepare_input(self, name: str, progress: Progress = silent) -> Given:
+        """Prepare the input of one of the stages with true masks.
 
         Raises:
             FruitLangsError: it cannot be had.
         """
         if name == COUNTING_ONLY:
-            surface = self._true_surface(progress)
+            surface = self._read_true_surface(progress)
             probability = torch.from_numpy(np.isin(surface.fruit, self._ids()).astype(np.float64))
             return Given(surface.gaussians, probability, self.scene.cameras)
         assert name == TRUE_MASKS
-        trained = self._trained(progress)
+        trained = self._train_once(progress)
         cameras = trained.scene.cameras
-        probability = masked_probability(trained.gaussians, cameras, self.instances, self._ids())
+        probability = measure_masked_probability(trained.gaussians, cameras, self.instances, self._ids())
         return Given(trained.gaussians, probability, cameras)
 
-    def _counting_only(self, progress: Progress) -> Counted:
-        given = self.given(COUNTING_ONLY, part(progress, 0.0, 0.3))
+    def _run_counting_only(self, progress: Progress) -> Counted:
+        given = self.prepare_input(COUNTING_ONLY, part(progress, 0.0, 0.3))
         return self._count(given.gaussians, given.probability, part(progress, 0.3, 1.0))
 
-    def _true_geometry(self, progress: Progress) -> Counted:
-        surface = self._true_surface(part(progress, 0.0, 0.2))
+    def _run_true_geometry(self, progress: Progress) -> Counted:
+        surface = self._read_true_surface(part(progress, 0.0, 0.2))
         embedder = Embedder.open(self.config.embed)
         scales = photo_scales(self.scene, embedder.encoder)
         features = embedder.lift(
@@ -179,42 +179,42 @@ class LadderStages:
         probability = select(features, embedder.encoder, self.prompts, (), self.config.count, surface.gaussians.means)
         return self._count(surface.gaussians, probability, part(progress, 0.6, 1.0))
 
-    def _true_masks(self, progress: Progress) -> Counted:
-        given = self.given(TRUE_MASKS, part(progress, 0.0, 0.7))
-        trained, rest = self._trained(silent), part(progress, 0.7, 1.0)
-        maps = self._true_maps(trained.scene)
+    def _run_true_masks(self, progress: Progress) -> Counted:
+        given = self.prepare_input(TRUE_MASKS, part(progress, 0.0, 0.7))
+        trained, rest = self._train_once(silent), part(progress, 0.7, 1.0)
+        maps = self._make_true_maps(trained.scene)
         counted = self._count(given.gaussians, given.probability, rest, given.cameras, maps)
-        quality = _counted_by(trained)
+        quality = _read_counted(trained)
         counted = dataclasses.replace(counted, psnr=quality.psnr, ssim=quality.ssim)
-        return self._moved(trained, counted) if self.config.train.refine_poses else counted
+        return self._move(trained, counted) if self.config.train.refine_poses else counted
 
-    def _true_poses(self, progress: Progress) -> Counted:
-        result = self._trained(progress)
-        counted = _counted_by(result)
-        return self._moved(result, counted) if self.config.train.refine_poses else counted
+    def _run_true_poses(self, progress: Progress) -> Counted:
+        result = self._train_once(progress)
+        counted = _read_counted(result)
+        return self._move(result, counted) if self.config.train.refine_poses else counted
 
-    def _end_to_end(self, progress: Progress) -> Counted:
+    def _run_end_to_end(self, progress: Progress) -> Counted:
         """Count in the frame estimated from the photos, then move the fruit to the frame of the truth."""
         result = self._train(self.folder / "images", END_TO_END, progress)
         errors = camera_errors(cameras_by_file(result.scene), cameras_by_file(self.scene)) if self.truth else None
-        return dataclasses.replace(self._moved(result, _counted_by(result)), cameras=errors)
+        return dataclasses.replace(self._move(result, _read_counted(result)), cameras=errors)
 
-    def _moved(self, result: Result, counted: Counted) -> Counted:
-        """The fruit in the frame of `result`, moved to the frame of the truth."""
+    def _move(self, result: Result, counted: Counted) -> Counted:
+        """Move the fruit in the frame of `result` to the frame of the truth."""
         if self.truth is not None and all((self.folder / name).is_dir() for name in (DEPTH, INSTANCES)):
             depths = read_depths(self.folder, self.scene)
-            moved = by_fruit(result.gaussians, result.scene, self.scene, depths, self.instances)
+            moved = align_by_fruit(result.gaussians, result.scene, self.scene, depths, self.instances)
         else:
-            moved = by_cameras(result.scene, self.scene)
+            moved = align_by_cameras(result.scene, self.scene)
         return dataclasses.replace(
             counted,
             centers=moved.apply(counted.centers),
             diameters=moved.apply_to_lengths(counted.diameters),
         )
 
-    def _trained(self, progress: Progress) -> Result:
+    def _train_once(self, progress: Progress) -> Result:
         if self._result is None:
-            self._result = self._train(self._true_source(), TRUE_POSES, progress)
+            self._result = self._train(self._prepare_true_source(), TRUE_POSES, progress)
         return self._result
 
     def _train(self, source: Path, name: str, progress: Progress) -> Result:
@@ -234,23 +234,23 @@ class LadderStages:
         found = count_fruit(
             gaussians, probability, cameras, self.config.count, label=self.prompts[0], photos=maps, progress=progress
         )
-        return _counted(found, len(cameras))
+        return _make_counted(found, len(cameras))
 
-    def _true_maps(self, scene: Scene) -> list[PhotoMap] | None:
-        """The true masks of the photos of a scene as maps, as large as the encoder's offsets, with these; None if it
-        gives none."""
+    def _make_true_maps(self, scene: Scene) -> list[PhotoMap] | None:
+        """Return the true masks of the photos of a scene as maps, as large as the encoder's offsets, with these; None
+        if it gives none."""
         encoder = Embedder.open(self.config.embed).encoder
         if not sees_fruit(encoder):
             return None
         maps = []
         for photo, ids, scales in zip(scene.images, self.instances, photo_scales(scene, encoder), strict=True):
-            shown = as_seen(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
+            shown = warp_to_view(photo, np.isin(ids, self._ids())[..., None].astype(np.float32))
             offsets = encoder.encode_fruit(photo.pixels(), scales).offsets
             probability = resize(torch.from_numpy(shown).permute(2, 0, 1), *offsets.shape[:2])[0]
             maps.append(PhotoMap(np.ascontiguousarray(probability), offsets.numpy()))
         return maps
 
-    def _true_surface(self, progress: Progress) -> TrueSurface:
+    def _read_true_surface(self, progress: Progress) -> TrueSurface:
         if self._surface is None:
             depths = read_depths(self.folder, self.scene)
             self._surface = true_surface(self.scene, depths, self.instances, progress=progress)
@@ -261,8 +261,8 @@ class LadderStages:
         assert self.truth.ids is not None  # `instances` has checked it
         return self.truth.ids
 
-    def _true_source(self) -> Path:
-        """The source with true poses: the scene itself, or a transforms.json that replaces noisy ones."""
+    def _prepare_true_source(self) -> Path:
+        """Prepare the source with true poses: the scene itself, or a transforms.json that replaces noisy ones."""
         if not self.views:
             return self.folder
         given = read_scene(self.folder, self.config.scene)
@@ -278,10 +278,11 @@ class LadderStages:
         return path
 
 
-def masked_probability(
+def measure_masked_probability(
     gaussians: Gaussians, cameras: Sequence[Camera], instances: Sequence[NDArray[np.uint16]], ids: NDArray[np.int64]
 ) -> torch.Tensor:
-    """(N,) share of the pixels of each Gaussian that show one of the fruit `ids`; 0 if it covers almost none.
+    """Measure the share (N,) of the pixels of each Gaussian that show one of the fruit `ids`; 0 if it covers almost
+    none.
 
     instances: (H, W) fruit ids per view.
     """
@@ -307,7 +308,7 @@ def write_transforms(path: Path, scene: Scene, poses: Mapping[str, FloatArray]) 
     write_text(path, json.dumps({"frames": frames, "ply_file_path": "points.ply"}) + "\n")
 
 
-def _counted(found: FruitCount, views: int) -> Counted:
+def _make_counted(found: FruitCount, views: int) -> Counted:
     return Counted(
         centers=found.centers,
         diameters=found.diameters,
@@ -319,8 +320,8 @@ def _counted(found: FruitCount, views: int) -> Counted:
     )
 
 
-def _counted_by(result: Result) -> Counted:
-    """The count of the product's own pipeline, in its own frame."""
-    counted = _counted(result.fruit_count, len(result.scene.cameras))
+def _read_counted(result: Result) -> Counted:
+    """Read the count of the product's own pipeline, in its own frame."""
+    counted = _make_counted(result.fruit_count, len(result.scene.cameras))
     training = result.origin["training"]
     return dataclasses.replace(counted, seconds=result.seconds, psnr=training["psnr"], ssim=training["ssim"])

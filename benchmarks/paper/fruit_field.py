@@ -29,8 +29,9 @@ UNSEEN = -2.0
 """The number of every Gaussian before training: those that no photo shows are no fruit."""
 
 
-def fruit_field(result: Result, prompts: Sequence[str], config: Config, *, seed: int = 0) -> Tensor:
-    """(N,) probability that each Gaussian of a result is fruit, learnt from the masks of the prompts in the photos.
+def learn_fruit_field(result: Result, prompts: Sequence[str], config: Config, *, seed: int = 0) -> Tensor:
+    """Return the probability (N,) that each Gaussian of a result is fruit, learnt from the masks of the prompts in the
+    photos.
 
     Raises:
         EncoderError: the encoder gives no masks of photos, as CLIP does not.
@@ -44,11 +45,12 @@ def fruit_field(result: Result, prompts: Sequence[str], config: Config, *, seed:
     cameras = [
         camera.resize(mask.shape[1], mask.shape[0]) for camera, mask in zip(result.scene.cameras, masks, strict=True)
     ]
-    return learnt(result.gaussians, cameras, masks, seed=seed)
+    return learn(result.gaussians, cameras, masks, seed=seed)
 
 
-def learnt(gaussians: Gaussians, cameras: Sequence[Camera], masks: Sequence[Tensor], *, seed: int = 0) -> Tensor:
-    """(N,) the sigmoid of the field, after STEPS steps of one view each. masks: (H, W) bool, one for each camera."""
+def learn(gaussians: Gaussians, cameras: Sequence[Camera], masks: Sequence[Tensor], *, seed: int = 0) -> Tensor:
+    """Return (N,) the sigmoid of the field, after STEPS steps of one view each. masks: (H, W) bool, one for each
+    camera."""
     random = np.random.default_rng(seed)
     numbers = torch.full((len(gaussians), 1), UNSEEN, requires_grad=True)
     optimiser = torch.optim.Adam([numbers], lr=RATE)

@@ -21,10 +21,10 @@ def reconstruction_table(scenes: Sequence[SceneTables]) -> str:
         paper = PRINTED.get(scene.name)
         rows = [scene.reconstruction[name] for name in VARIANTS]
         cells = {
-            "SSIM ↑": [_shown(row.ssim, 3) for row in rows],
-            "PSNR / dB ↑": [_shown(row.psnr, 2) for row in rows],
+            "SSIM ↑": [_format(row.ssim, 3) for row in rows],
+            "PSNR / dB ↑": [_format(row.psnr, 2) for row in rows],
             "LPIPS ↓": [NO_LPIPS, *[""] * (len(rows) - 1)],
-            "FPS ↑ (CPU)": [_shown(row.fps, 1) for row in rows],
+            "FPS ↑ (CPU)": [_format(row.fps, 1) for row in rows],
             "FPS ↑ (GPU)": [NO_GPU, *[""] * (len(rows) - 1)],
         }
         own: dict[str, Sequence[object]] = {}
@@ -38,15 +38,15 @@ def reconstruction_table(scenes: Sequence[SceneTables]) -> str:
 
 def count_table(scenes: Sequence[SceneTables]) -> str:
     """Markdown: counted (share of the true number, F1 at half a diameter), one line per scene."""
-    return _counted(scenes, "counts", COUNTERS)
+    return _tabulate_counts(scenes, "counts", COUNTERS)
 
 
 def ablation_table(scenes: Sequence[SceneTables]) -> str:
     """Markdown: counts with language, without, and with FruitNeRF's field instead."""
-    return _counted(scenes, "ablation", ABLATIONS)
+    return _tabulate_counts(scenes, "ablation", ABLATIONS)
 
 
-def _counted(scenes: Sequence[SceneTables], part: str, paper_columns: Sequence[str]) -> str:
+def _tabulate_counts(scenes: Sequence[SceneTables], part: str, paper_columns: Sequence[str]) -> str:
     printed = [scene for scene in scenes if scene.name in PRINTED]
     columns = list(dict.fromkeys(name for scene in scenes for name in getattr(scene, part)))
     head = ["scene", *columns, "visible truth"]
@@ -76,5 +76,5 @@ def _cell(tally: Tally) -> str:
     return share if tally.f1 is None else f"{share}, F1 {tally.f1:.3f}"
 
 
-def _shown(value: float | None, digits: int) -> str:
+def _format(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"

@@ -25,7 +25,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...engine.splatting.rendering.rasterize import render
 from ..orchards import TRUTH, read_origin
-from .fruit_field import fruit_field
+from .fruit_field import learn_fruit_field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,53 +118,53 @@ def measure_tables(
     report(f"{folder.name}: counting in other reconstructions")
     imported = folder / IMPORTED if (folder / IMPORTED).is_file() else results["3DGS"].out / "gaussians.ply"
     note = "" if imported.name == IMPORTED else "our training without eq. 3 and 4"
-    from_imported = _in_other(folder, imported, asked, out / "foreign", config, truth, note)
+    from_imported = _count_in_other(folder, imported, asked, out / "foreign", config, truth, note)
     report(f"{folder.name}: FruitNeRF's field")
     fruitnerf = replace(config.count, method="fruitnerf")
-    clustered, by_field = _in_field(ours, asked, config, [fruitnerf, config.count], truth)
+    clustered, by_field = _count_in_field(ours, asked, config, [fruitnerf, config.count], truth)
     return SceneTables(
         name=folder.name,
         reconstruction={name: _quality(result) for name, result in results.items()},
         counts={
-            "NeRF+Ours": _from_cloud(folder, scene, asked, out, config, truth),
+            "NeRF+Ours": _count_in_cloud(folder, scene, asked, out, config, truth),
             "3DGS+Ours": from_imported,
             "FruitNeRF": clustered,
             "Ours": _tally(ours, truth),
         },
         ablation={
             "with language": _tally(ours, truth),
-            "without language": _without_language(ours, scene, config, truth, part(progress, 0.9, 1.0)),
+            "without language": _count_without_language(ours, scene, config, truth, part(progress, 0.9, 1.0)),
             "Fruit Field": by_field,
         },
     )
 
 
-def _in_field(
+def _count_in_field(
     ours: Result, prompts: Sequence[str], config: Config, counts: Sequence[CountConfig], truth: Truth | None
 ) -> list[Tally]:
-    """Counts of the Gaussians that FruitNeRF's field, learnt in ours, says are fruit."""
+    """Return counts of the Gaussians that FruitNeRF's field, learnt in ours, says are fruit."""
     try:
-        probability = fruit_field(ours, prompts, config)
+        probability = learn_fruit_field(ours, prompts, config)
     except FruitLangsError as error:
-        return [_not_measured(error)] * len(counts)
+        return [_make_unmeasured(error)] * len(counts)
     tallies = []
     for each in counts:
         try:
             found = count_fruit(ours.gaussians, probability, ours.scene.cameras, each, label=prompts[0])
             tally = replace(_tally(replace(ours, fruit_count=found), truth), note="its field learnt in our Gaussians")
         except FruitLangsError as error:
-            tally = _not_measured(error)
+            tally = _make_unmeasured(error)
         tallies.append(tally)
     return tallies
 
 
 def _quality(result: Result) -> Quality:
     training = result.origin["training"]
-    return Quality(ssim=training["ssim"], psnr=training["psnr"], fps=frames_per_second(result))
+    return Quality(ssim=training["ssim"], psnr=training["psnr"], fps=measure_frames_per_second(result))
 
 
-def frames_per_second(result: Result) -> float:
-    """Rendering speed of the photos' views: the median over views, after one to warm up."""
+def measure_frames_per_second(result: Result) -> float:
+    """Measure the rendering speed of the photos' views: the median over views, after one to warm up."""
     seconds = []
     for camera in [result.scene.cameras[0], *result.scene.cameras[:SPEED_VIEWS]]:
         start = time.perf_counter()
@@ -174,38 +174,39 @@ def frames_per_second(result: Result) -> float:
     return 1.0 / float(np.median(seconds[1:]))
 
 
-def _in_other(
+def _count_in_other(
     folder: Path, file: Path, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None, note: str
 ) -> Tally:
-    """A count in another program's reconstruction, or why there is none."""
+    """Return a count in another program's reconstruction, or why there is none."""
     try:
         return replace(_tally(count_scene(folder, prompts, out, config=config, imported=file), truth), note=note)
     except FruitLangsError as error:
-        return _not_measured(error)
+        return _make_unmeasured(error)
 
 
-def _not_measured(error: FruitLangsError) -> Tally:
+def _make_unmeasured(error: FruitLangsError) -> Tally:
     return Tally(note=f"not measured: {' '.join(str(error).split())}")
 
 
-def _from_cloud(
+def _count_in_cloud(
     folder: Path, scene: Scene, prompts: Sequence[str], out: Path, config: Config, truth: Truth | None
 ) -> Tally:
-    """A count in a coloured point cloud: a NeRF's if the folder has one, else one of true depths if there are any."""
+    """Return a count in a coloured point cloud: a NeRF's if the folder has one, else one of true depths if there are
+    any."""
     cloud, note = folder / CLOUD, ""
     if not cloud.is_file():
         cloud, note = out / "true_depths.ply", "points of true depths in NeRF's place"
         try:
             surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene)).gaussians
         except FruitLangsError as error:
-            return _not_measured(error)
+            return _make_unmeasured(error)
         colors = (255 * surface.base_colors).round().byte().numpy()
         write_cloud(cloud, ColoredCloud(surface.means.double().numpy(), colors))
-    return _in_other(folder, cloud, prompts, out / "cloud", config, truth, note)
+    return _count_in_other(folder, cloud, prompts, out / "cloud", config, truth, note)
 
 
-def passes_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
-    """(N,) 1 for every Gaussian that passes cuts of opacity, size, ground and surroundings, else 0.
+def select_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
+    """Return (N,) 1 for every Gaussian that passes cuts of opacity, size, ground and surroundings, else 0.
 
     Ground is everything below LEAST_HEIGHT of the extent above the lowest twentieth of what the cameras surround;
     surroundings and sky are everything farther from the cameras' middle than the cameras.
@@ -220,14 +221,16 @@ def passes_without_language(gaussians: Gaussians, scene: Scene) -> torch.Tensor:
     return torch.from_numpy(kept.astype(np.float64))
 
 
-def _without_language(ours: Result, scene: Scene, config: Config, truth: Truth | None, progress: Progress) -> Tally:
-    probability = passes_without_language(ours.gaussians, scene)
+def _count_without_language(
+    ours: Result, scene: Scene, config: Config, truth: Truth | None, progress: Progress
+) -> Tally:
+    probability = select_without_language(ours.gaussians, scene)
     try:
         found = count_fruit(
             ours.gaussians, probability, ours.scene.cameras, config.count, label="fruit", progress=progress
         )
     except FruitLangsError as error:
-        return _not_measured(error)
+        return _make_unmeasured(error)
     return _tally(replace(ours, fruit_count=found), truth)
 
 

@@ -80,7 +80,7 @@ def ablate(
         share = part(progress, k / len(chosen), (k + 1) / len(chosen))
         with patch.object(*_REPLACED[name]) if name in _REPLACED else nullcontext():
             begun, cpu_begun = time.perf_counter(), time.process_time()
-            training = train(scene, replace(config, **change), progress=_named(share, name))
+            training = train(scene, replace(config, **change), progress=_prefix_messages(share, name))
             seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu_begun
         rules = Schedule(replace(config, **change), scene).rules(config.steps)
         aside = [training.cameras[view] for view in sorted(choose_held_out(scene, config.holdout_every))]
@@ -94,7 +94,7 @@ def ablate(
     return rows
 
 
-def _named(progress: Progress, name: str) -> Progress:
+def _prefix_messages(progress: Progress, name: str) -> Progress:
     return lambda fraction, message: progress(fraction, f"{name}: {message}")
 
 

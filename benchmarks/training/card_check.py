@@ -31,7 +31,7 @@ from ...engine.splatting.rendering.agreement import compare_card_with_reference,
 from ...engine.splatting.rendering.render import DrawRules, arrays_of
 from ...engine.splatting.training.train import train
 from ..markdown import markdown
-from .step_times import SH_DEGREE, ahead, orchard_like
+from .step_times import SH_DEGREE, look_ahead, make_orchard_like
 
 COUNTS, SIZES = (50_000, 200_000, 1_000_000, 3_000_000), ((400, 300), (800, 600), (1600, 1200))
 SMALL = 300
@@ -88,11 +88,11 @@ def check_card(
     """
     card = Card.open(adapter, timed=True)
     progress(0.0, "Comparing with the reference")
-    errors = _errors(card)
+    errors = _measure_errors(card)
     progress(0.1, "Comparing bytes")
-    bytes_equal = _repeats(adapter, read_scene(scene_folder, SceneConfig()))
-    times = _times(adapter, counts, sizes, part(progress, 0.3, 0.6))
-    counted = _sample(adapter, scene_folder, part(progress, 0.6, 1.0)) if sample else []
+    bytes_equal = _check_repeats(adapter, read_scene(scene_folder, SceneConfig()))
+    times = _time_steps(adapter, counts, sizes, part(progress, 0.3, 0.6))
+    counted = _count_sample(adapter, scene_folder, part(progress, 0.6, 1.0)) if sample else []
     return {
         "adapter": {
             "name": adapter.name,
@@ -110,14 +110,14 @@ def check_card(
     }
 
 
-def _errors(card: Card) -> dict[str, dict[str, float]]:
-    """The largest errors over harmonics of degree 0 to 3, and antialiased, of the card and of the CPU."""
+def _measure_errors(card: Card) -> dict[str, dict[str, float]]:
+    """Measure the largest errors over harmonics of degree 0 to 3, and antialiased, of the card and of the CPU."""
     found: dict[str, dict[str, float]] = {"card": {}, "CPU": {}}
     for degree, antialiased in ((0, False), (1, False), (2, False), (3, False), (3, True)):
-        gaussians = orchard_like(SMALL, degree)
+        gaussians = make_orchard_like(SMALL, degree)
         terms = (degree + 1) ** 2
         scene = replace(gaussians, sh=gaussians.sh[:, :terms].contiguous(), antialiased=antialiased)
-        camera = ahead(97, 73)
+        camera = look_ahead(97, 73)
         for name, errors in (
             ("card", compare_card_with_reference(Canvas(card), scene, camera, seed=degree)),
             ("CPU", compare_with_reference(scene, camera, seed=degree)),
@@ -129,8 +129,8 @@ def _errors(card: Card) -> dict[str, dict[str, float]]:
     return found
 
 
-def _repeats(adapter: Adapter, scene: Scene) -> dict[str, Any]:
-    """Whether two short trainings, and one that was interrupted and resumed, give the same bytes."""
+def _check_repeats(adapter: Adapter, scene: Scene) -> dict[str, Any]:
+    """Check whether two short trainings, and one that was interrupted and resumed, give the same bytes."""
 
     def stop(_: float, message: str) -> None:
         if message.startswith(f"step {STOPPED_AFTER}/"):
@@ -153,7 +153,7 @@ def _hash(gaussians: Gaussians) -> str:
     return digest.hexdigest()[:16]
 
 
-def _times(
+def _time_steps(
     adapter: Adapter, counts: Sequence[int], sizes: Sequence[tuple[int, int]], progress: Progress
 ) -> list[StepTime]:
     found = []
@@ -170,12 +170,12 @@ def _times(
 def _time(adapter: Adapter, count: int, width: int, height: int) -> StepTime:
     """The mean of `REPEATS` steps, without the time of uploads, on a card that holds nothing else."""
     card = Card.open(adapter, timed=True)
-    canvas, values = Canvas(card), arrays_of(orchard_like(count))
+    canvas, values = Canvas(card), arrays_of(make_orchard_like(count))
     columns = 11 + 3 * (SH_DEGREE + 1) ** 2
     zeros = {name: np.zeros_like(value) for name, value in values.items()}
     learnt = Learnt(values, zeros, zeros, np.zeros(count, np.int32), np.zeros((count, 2), np.float32))
     photo = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    view = view_of(ahead(width, height), DrawRules(sh_degree=SH_DEGREE), count)
+    view = view_of(look_ahead(width, height), DrawRules(sh_degree=SH_DEGREE), count)
     view["with_mean_gradients"], view["rates"] = 1, 1e-6
     view["l1_weight"], view["ssim_weight"] = 0.8 / (3 * width * height), 0.2 / (3 * width * height)
     canvas.compute(values, view)  # makes room for the pairs
@@ -193,8 +193,8 @@ def _time(adapter: Adapter, count: int, width: int, height: int) -> StepTime:
     return found
 
 
-def _sample(adapter: Adapter, scene_folder: Path, progress: Progress) -> list[Counted]:
-    """The scene counted on the CPU and on the card."""
+def _count_sample(adapter: Adapter, scene_folder: Path, progress: Progress) -> list[Counted]:
+    """Count the scene on the CPU and on the card."""
     found = []
     for k, device in enumerate(("cpu", adapter.name)):
         config = Config(train=replace(PRESETS["quick"], device=device))

@@ -16,7 +16,7 @@ from ...engine.splatting.training.parameters import Parameters
 from ...engine.splatting.training.photos import PhotoShelf
 from ...engine.splatting.training.schedule import Schedule
 from ...engine.splatting.training.step import Step
-from .step_times import SH_DEGREE, ahead, orchard_like
+from .step_times import SH_DEGREE, look_ahead, make_orchard_like
 
 
 def peak_bytes() -> int:
@@ -29,7 +29,7 @@ def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[
 
     Call it in a separate process: the peak is that of the process.
     """
-    camera = ahead(width, height)
+    camera = look_ahead(width, height)
     random = np.random.default_rng(0)
     photos = [
         ArrayPhoto(str(view), random.integers(0, 256, (height, width, 3), dtype=np.uint8)) for view in range(views)
@@ -46,7 +46,7 @@ def training_peak(gaussians: int, views: int, width: int, height: int) -> tuple[
         densify_every=max(views // 3, 1),
         densify_until=1.0,
     )
-    start = orchard_like(gaussians)
+    start = make_orchard_like(gaussians)
     state = TrainingState(Parameters.start(start), GradientStats.none(gaussians))
     step, shelf = Step(Schedule(config, scene)), PhotoShelf(scene)
     for view in range(views):

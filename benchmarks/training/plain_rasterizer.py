@@ -69,8 +69,8 @@ def harmonics(degree: int, d: Tensor) -> Tensor:
     return torch.stack(rows, -1)
 
 
-def rotations(quats: Tensor) -> Tensor:
-    """(N, 3, 3) of quaternions wxyz of any length."""
+def compute_rotations(quats: Tensor) -> Tensor:
+    """Compute rotations (N, 3, 3) of quaternions wxyz of any length."""
     w, x, y, z = normalize(quats, dim=-1).unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -91,7 +91,7 @@ def project(parameters: Mapping[str, Tensor], view: View) -> Splats:
     v = (y / z).clamp(-0.65 * view.height / fy, 0.65 * view.height / fy)
     zero = torch.zeros_like(z)
     J = torch.stack([torch.stack([fx / z, zero, -fx * u / z], -1), torch.stack([zero, fy / z, -fy * v / z], -1)], -2)
-    half = J @ R @ (rotations(parameters["quats"]) * parameters["log_scales"].exp()[:, None, :])
+    half = J @ R @ (compute_rotations(parameters["quats"]) * parameters["log_scales"].exp()[:, None, :])
     covariance = half @ half.transpose(-1, -2)
     xx, xy, yy = covariance[:, 0, 0] + 0.3, covariance[:, 0, 1], covariance[:, 1, 1] + 0.3
     determinant = xx * yy - xy * xy

@@ -188,7 +188,7 @@ class _Model:
         cloned, split = chosen & (sizes <= SMALL * self.extent), chosen & (sizes > SMALL * self.extent)
         halves = {name: value[split].repeat(2, *[1] * (value.dim() - 1)) for name, value in values.items()}
         drawn = torch.from_numpy(self.random.standard_normal(halves["means"].shape)).float()
-        turned = plain_rasterizer.rotations(halves["quats"]) @ (halves["log_scales"].exp() * drawn)[..., None]
+        turned = plain_rasterizer.compute_rotations(halves["quats"]) @ (halves["log_scales"].exp() * drawn)[..., None]
         halves["means"] = halves["means"] + turned[..., 0]
         halves["log_scales"] = halves["log_scales"] - math.log(1.6)
         added = {name: torch.cat([value[cloned], halves[name]]) for name, value in values.items()}
@@ -199,7 +199,7 @@ class _Model:
             self._replace(
                 name,
                 torch.cat([value[~useless], added[name]]),
-                partial(_kept, keep=~useless, added=torch.zeros_like(added[name])),
+                partial(_keep, keep=~useless, added=torch.zeros_like(added[name])),
             )
         self._forget()
 
@@ -218,5 +218,5 @@ class _Model:
         self.mean_gradients, self.counts, self.widest = (torch.zeros(len(self)) for _ in range(3))
 
 
-def _kept(moments: Tensor, *, keep: Tensor, added: Tensor) -> Tensor:
+def _keep(moments: Tensor, *, keep: Tensor, added: Tensor) -> Tensor:
     return torch.cat([moments[keep], added])

@@ -62,8 +62,8 @@ class Row:
     baseline_ratio: float | None
 
 
-def orchard_like(n: int, seed: int = 0) -> Gaussians:
-    """n Gaussians spread as in a trained orchard: a crown with flat leaves, the ground, and a far dome.
+def make_orchard_like(n: int, seed: int = 0) -> Gaussians:
+    """Make n Gaussians, spread as in a trained orchard: a crown with flat leaves, the ground, and a far dome.
 
     Sizes fall with n^-½ in the crown, because more Gaussians share a surface; a trained sample has the same mean number
     of tiles per Gaussian.
@@ -93,8 +93,8 @@ def orchard_like(n: int, seed: int = 0) -> Gaussians:
     )
 
 
-def ahead(width: int, height: int) -> Camera:
-    """A camera 3 units from the crown, which fills most of the picture's height."""
+def look_ahead(width: int, height: int) -> Camera:
+    """Return a camera 3 units from the crown, which fills most of the picture's height."""
     pose = np.eye(4)
     pose[2, 3] = 3.0
     focal = 1.1 * height
@@ -120,8 +120,8 @@ def measure(
     rows = []
     for k, setting in enumerate(settings):
         progress(k / len(settings), f"{setting.gaussians:,} Gaussians at {setting.width}×{setting.height}")
-        with _threads(setting.threads):
-            ours, theirs = _ours(setting, repeats), _baseline(setting, baseline_memory)
+        with _use_threads(setting.threads):
+            ours, theirs = _time_ours(setting, repeats), _time_baseline(setting, baseline_memory)
         for stage in (*STAGES, FORWARD_AND_BACKWARD, STEP):
             baseline = None if theirs is None else theirs[stage]
             ratio = None if baseline is None else baseline / ours[stage]
@@ -141,7 +141,7 @@ def measure(
 
 
 @contextmanager
-def _threads(n: int) -> Iterator[None]:
+def _use_threads(n: int) -> Iterator[None]:
     """Run with n threads.
 
     Raises:
@@ -180,19 +180,19 @@ class _Watch:
         return found
 
 
-def _photo(setting: Setting) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def _make_photo(setting: Setting) -> np.ndarray[Any, np.dtype[np.uint8]]:
     random = np.random.default_rng(1)
     return random.integers(0, 256, (setting.height, setting.width, 3), dtype=np.uint8)
 
 
-def _ours(setting: Setting, repeats: int) -> dict[str, float]:
-    parameters = Parameters.start(orchard_like(setting.gaussians))
-    camera = ahead(setting.width, setting.height)
+def _time_ours(setting: Setting, repeats: int) -> dict[str, float]:
+    parameters = Parameters.start(make_orchard_like(setting.gaussians))
+    camera = look_ahead(setting.width, setting.height)
     rules, workspace, watch = DrawRules(sh_degree=SH_DEGREE), Workspace(), _Watch()
     features, background = np.zeros((setting.gaussians, 0), np.float32), np.zeros(3, np.float32)
     gradients = np.zeros((5, setting.height, setting.width), np.float32)
     loss = PhotometricLoss(0.2, workspace)
-    photo = _photo(setting)
+    photo = _make_photo(setting)
     for _ in range(repeats + 1):
         arrays = parameters.arrays()
         projection = watch.time("project", project_view, arrays, camera, rules, workspace)
@@ -207,11 +207,11 @@ def _ours(setting: Setting, repeats: int) -> dict[str, float]:
     return watch.medians()
 
 
-def _baseline(setting: Setting, memory: float) -> dict[str, float] | None:
-    gaussians, camera = orchard_like(setting.gaussians), ahead(setting.width, setting.height)
+def _time_baseline(setting: Setting, memory: float) -> dict[str, float] | None:
+    gaussians, camera = make_orchard_like(setting.gaussians), look_ahead(setting.width, setting.height)
     leaves: dict[str, Tensor] = {name: getattr(gaussians, name).requires_grad_() for name in PARAMETERS}
     view = plain_rasterizer.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
-    photo = torch.from_numpy(_photo(setting)).float() / 255
+    photo = torch.from_numpy(_make_photo(setting)).float() / 255
     optimiser = torch.optim.Adam(leaves.values(), lr=1e-6, fused=True)
     watch = _Watch()
     for _ in range(3):

@@ -27,7 +27,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import import_tyro, report, run, terminal_progress
 from fruitlangs.benchmarks.counting.baselines import METHODS
-from fruitlangs.benchmarks.counting.crowns import Crown, Methods, scene_crown, simulated_crowns
+from fruitlangs.benchmarks.counting.crowns import Crown, Methods, make_scene_crown, simulate_crowns
 from fruitlangs.benchmarks.counting.pages import counting_page
 from fruitlangs.benchmarks.counting.simulated import AXES, SETTINGS
 from fruitlangs.benchmarks.counting.trials import Trial, read_trials, trials_csv
@@ -76,7 +76,7 @@ def main(options: Options) -> None:
         compare_on_scenes(options)
         return
     chosen = {name: all_settings[name] for name in options.settings or all_settings}
-    crowns = list(simulated_crowns(chosen, range(options.first, options.first + options.seeds)))
+    crowns = list(simulate_crowns(chosen, range(options.first, options.first + options.seeds)))
     print(compare(crowns, choose_methods(options), options.out, options.along or "counting"))
 
 
@@ -85,7 +85,7 @@ def compare_on_scenes(options: Options) -> None:
     assert options.out is not None
     folders = [scene_folder(name, options.out / "scenes", report=report).resolve() for name in options.scenes]
     for stage in (COUNTING_ONLY, TRUE_MASKS):
-        crowns = [scene_crown(folder, options.out / folder.name, stage, Config()) for folder in folders]
+        crowns = [make_scene_crown(folder, options.out / folder.name, stage, Config()) for folder in folders]
         print(f"{stage}\n\n{compare(crowns, choose_methods(options), options.out, stage)}\n")
 
 
@@ -103,7 +103,7 @@ def compare(crowns: Sequence[Crown], methods: Methods, out: Path | None, name: s
         known = [trial for trial in own if trial is not None and trial.key == crown.key]
         if len(known) < len(methods):
             progress(number / len(crowns), f"{crown.setting}, seed {crown.seed}")
-            known = crown.counted(methods)
+            known = crown.count(methods)
             kept |= {_key(trial): trial for trial in known}
         trials += known
         if out is not None:

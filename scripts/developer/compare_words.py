@@ -79,14 +79,14 @@ def teach_scenes(options: Options, lessons: Sequence[tuple[int, int]]) -> None:
     progress = terminal_progress()
     if options.correct:
         words = options.out / "words"
-        found = [correct(Tree.grown(folder, options.out / folder.name, progress), words) for folder in folders]
+        found = [correct(Tree.grow(folder, options.out / folder.name, progress), words) for folder in folders]
         print(corrections_table([each for own in found for each in own]))
         return
     file = options.out / "words.csv"
     kept = {trial.place: trial for trial in read_words_csv(file)}
     for species in dict.fromkeys(read_origin(folder).species for folder in folders):
         own = [folder for folder in folders if read_origin(folder).species == species]
-        trees = [Tree.grown(folder, options.out / folder.name, progress) for folder in own]
+        trees = [Tree.grow(folder, options.out / folder.name, progress) for folder in own]
         for trial in try_words(trees, lessons, options.out / "words", [*kept.values()]):
             report(line_of(trial))
             kept[trial.place] = trial

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from _terminal import import_tyro, run
-from fruitlangs.benchmarks.counting.simulated import SETTINGS, any_setting
+from fruitlangs.benchmarks.counting.simulated import SETTINGS, sample_setting
 from fruitlangs.benchmarks.evidence.tables import share_interval
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.accounts.interval import (
@@ -137,7 +137,7 @@ def search_examples(options: Options) -> list[Example]:
 def sample_cases(first: int, number: int) -> itertools.chain[Case]:
     """Generate one crown for each of this many random settings."""
     seeds = range(first, first + number)
-    return itertools.chain.from_iterable(crown_cases({"drawn": any_setting(seed)}, [seed]) for seed in seeds)
+    return itertools.chain.from_iterable(crown_cases({"drawn": sample_setting(seed)}, [seed]) for seed in seeds)
 
 
 def make_example(case: Case) -> list[Example]:

@@ -23,7 +23,7 @@ import _checkout  # noqa: F401  puts the checkout on the path
 
 from _terminal import import_tyro, report, run, terminal_progress
 from fruitlangs.benchmarks.evidence.documents import write_documents
-from fruitlangs.benchmarks.evidence.records import Record, Trial, merged, read_records, record_of, write_records
+from fruitlangs.benchmarks.evidence.records import Record, Trial, merge_records, read_records, record_of, write_records
 from fruitlangs.benchmarks.evidence.studies import STUDIES, training_of
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
 from fruitlangs.benchmarks.ladder.stages import TRUE_POSES
@@ -69,7 +69,7 @@ def main() -> None:
             failed.append(f"{scene}: {error}")
             report(failed[-1])
             continue
-        records = merged(records, measured)
+        records = merge_records(records, measured)
         write_records(records)
         write_documents(records)
     if failed:

@@ -51,13 +51,13 @@ def test_a_wrong_card_is_wrong(small: None, adapter: Adapter, monkeypatch: pytes
     monkeypatch.setattr(
         card_module, "_source", lambda name: source(name).replace("LOW_PASS: f32 = 0.3", "LOW_PASS: f32 = 0.4")
     )
-    errors = card_check._errors(Card.open(adapter))
+    errors = card_check._measure_errors(Card.open(adapter))
     assert max(errors["card"].values()) > BOUND > max(errors["CPU"].values())
 
 
 def test_a_step_that_does_not_fit_is_a_row_with_its_reason(adapter: Adapter, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Adapter, "largest_buffer", 1000)
-    [row] = card_check._times(adapter, [500], [(64, 48)], lambda *_: None)
+    [row] = card_check._time_steps(adapter, [500], [(64, 48)], lambda *_: None)
     assert row.seconds is None
     assert "holds buffers of at most" in row.reason
 

@@ -13,12 +13,12 @@ import compare_counting
 import numpy as np
 import pytest
 
-from fruitlangs.benchmarks.counting.baselines import METHODS, NONE, Found, Surface, ours, surface_of
-from fruitlangs.benchmarks.counting.crowns import scene_crown
+from fruitlangs.benchmarks.counting.baselines import METHODS, NONE, Found, Surface, count_by_default, surface_of
+from fruitlangs.benchmarks.counting.crowns import make_scene_crown
 from fruitlangs.benchmarks.counting.pages import counting_table, figures_table, visibility_table
 from fruitlangs.benchmarks.counting.simulated import AXES, SETTINGS, Setting, Simulation, simulate
-from fruitlangs.benchmarks.counting.touching import Touching, separated
-from fruitlangs.benchmarks.counting.trials import Trial, read_trials, trials_csv, tried
+from fruitlangs.benchmarks.counting.touching import Touching, count_separated
+from fruitlangs.benchmarks.counting.trials import Trial, measure_trial, read_trials, trials_csv
 from fruitlangs.benchmarks.ladder.stages import COUNTING_ONLY, TRUE_MASKS, LadderStages
 from fruitlangs.engine.config import Config, CountConfig
 from fruitlangs.engine.counting.count import count_fruit
@@ -80,12 +80,12 @@ def test_scenes_need_a_folder_for_what_is_trained():
 
 def test_ours_on_a_scene_counts_what_its_ablation_stage_counts(tmp_path: Path):
     scene, config = ball_scene.write_scene(tmp_path / "balls", views=10), Config()
-    crown = scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
+    crown = make_scene_crown(scene, tmp_path / "out", COUNTING_ONLY, config)
     truth = read_truth(scene / "truth.json")
     stage = LadderStages(scene, tmp_path / "out", truth, [], ["apple"], config).run(COUNTING_ONLY, silent)
     assert (crown.setting, crown.seed) == ("apple", 7)
-    assert crown.key != scene_crown(scene, tmp_path / "out", TRUE_MASKS, config).key
-    assert crown.counted({"ours": ours})[0].metrics == count_metrics(stage.centers, stage.diameters, truth)
+    assert crown.key != make_scene_crown(scene, tmp_path / "out", TRUE_MASKS, config).key
+    assert crown.count({"ours": count_by_default})[0].metrics == count_metrics(stage.centers, stage.diameters, truth)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def _trial(seed: int, method: str, **figures: float) -> Trial:
         visible=np.ones(10, bool),
         visible_fractions=np.linspace(0.1, 1.0, 10),
     )
-    trial = tried("sparse", seed, method, "key", NONE, truth)
+    trial = measure_trial("sparse", seed, method, "key", NONE, truth)
     return replace(trial, metrics=replace(trial.metrics, **figures))
 
 
@@ -154,7 +154,7 @@ def test_a_pair_is_distinguished_where_each_fruit_is_counted_once():
     )
 
     def apart(*places: float) -> Touching:
-        return separated(np.array([[x, 0.0, 0.0] for x in places]).reshape(-1, 3), truth)
+        return count_separated(np.array([[x, 0.0, 0.0] for x in places]).reshape(-1, 3), truth)
 
     assert apart() == Touching(1, 0)  # the third has no neighbour, and the last is seen too well
     assert apart(0.1, 1.1) == Touching(1, 1)
@@ -167,7 +167,10 @@ def test_a_pair_is_distinguished_where_each_fruit_is_counted_once():
 
 def test_trials_come_back_as_they_were_written(tmp_path: Path, crown: Simulation):
     found = crown.truth.centers[:9] + 0.1, crown.truth.diameters[:9]
-    trials = [tried("few", 3, "some", "key", found, crown.truth), tried("few", 3, "none", "key", NONE, crown.truth)]
+    trials = [
+        measure_trial("few", 3, "some", "key", found, crown.truth),
+        measure_trial("few", 3, "none", "key", NONE, crown.truth),
+    ]
     assert read_trials(tmp_path / "trials.csv") == []
     (tmp_path / "trials.csv").write_text(trials_csv(trials))
     assert trials_csv(read_trials(tmp_path / "trials.csv")) == trials_csv(trials)

@@ -16,9 +16,9 @@ from fruitlangs.benchmarks.teaching import (
     BUILT_IN,
     Correction,
     Tree,
+    choose_name,
     correct,
     corrections_table,
-    new_name,
     read_words_csv,
     try_words,
     words_csv,
@@ -43,18 +43,18 @@ def ball_at(tree: Tree, click: Any) -> int:
 
 @pytest.mark.parametrize("number", [1, 3, 5])
 def test_each_positive_click_is_on_another_fruit(tree: Tree, number: int):
-    shown = [ball_at(tree, click) for click in tree.positive_clicks(number)]
+    shown = [ball_at(tree, click) for click in tree.choose_positive_clicks(number)]
     assert len(set(shown)) == number
     assert min(shown) > 0
 
 
 def test_there_are_no_more_positive_clicks_than_fruit(tree: Tree):
-    assert len(tree.positive_clicks(40)) == len(ball_scene.BALLS)
+    assert len(tree.choose_positive_clicks(40)) == len(ball_scene.BALLS)
 
 
 def test_negative_clicks_are_where_no_photo_shows_fruit_and_on_places_of_their_own(tree: Tree):
-    word, seconds = tree.taught("own apple", 3, 0)
-    marks = tree.negative_marks(word, 3)
+    word, seconds = tree.teach("own apple", 3, 0)
+    marks = tree.choose_negative_marks(word, 3)
     assert len(marks) == 3
     assert seconds > 0.0
     rows = np.concatenate([mark.rows for mark in marks])
@@ -92,7 +92,7 @@ def test_the_table_of_corrections_says_what_each_changed():
 
 
 def test_a_new_word_does_not_refine_a_built_in_one():
-    assert (new_name("apple"), new_name("fig")) == ("own apple", "fig")
+    assert (choose_name("apple"), choose_name("fig")) == ("own apple", "fig")
 
 
 @pytest.mark.parametrize(("text", "clicks"), [("3", (3, 0)), ("5+5", (5, 5))])

@@ -10,11 +10,11 @@ import pytest
 from measurements import RESULT
 
 from fruitlangs.benchmarks.evidence import code_state
-from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, draw_conditions, filled
+from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, draw_conditions, fill
 from fruitlangs.benchmarks.evidence.records import (
     Record,
     Trial,
-    merged,
+    merge_records,
     read_records,
     record_of,
     write_records,
@@ -41,7 +41,7 @@ def test_the_committed_documents_say_what_the_committed_records_hold() -> None:
     assert records
     for name in DOCUMENTS:
         text = (ROOT / name).read_text(encoding="utf-8")
-        assert filled(text, records) == text, f"{name} is out of date: run make stale"
+        assert fill(text, records) == text, f"{name} is out of date: run make stale"
 
 
 def test_every_block_of_a_document_has_a_table_and_every_study_a_block() -> None:
@@ -87,7 +87,7 @@ def test_records_are_kept_in_a_file_and_later_ones_replace_earlier_ones(tmp_path
     first = record_of(RESULT, "voting")
     other = record_of(RESULT, "template")
     again = record_of(replace(RESULT, counted=91), "voting")
-    write_records(merged([first, other], [again]), tmp_path / "results.csv")
+    write_records(merge_records([first, other], [again]), tmp_path / "results.csv")
     read = read_records(tmp_path / "results.csv")
     assert [(each.trial.method, each.result.counted) for each in read] == [("template", 90), ("voting", 91)]
 
@@ -103,7 +103,7 @@ def test_a_row_of_other_code_is_stale_and_the_head_of_its_table_says_so() -> Non
     old = changed(record_of(replace(RESULT, scene="plum-small-102", species="plum"), "voting"), code="0123")
     assert not fresh.stale
     assert old.stale
-    text = filled("<!-- table known-cameras -->\nold\n<!-- end -->", [old])
+    text = fill("<!-- table known-cameras -->\nold\n<!-- end -->", [old])
     assert "**Stale**: measured with earlier code." in text
     assert "15 of 16 rows are not measured yet" in text
     assert "| plum | 100, 90 | 0.904 |  |  |" in text
@@ -113,7 +113,7 @@ def test_a_row_of_other_code_is_stale_and_the_head_of_its_table_says_so() -> Non
 def test_a_table_of_current_rows_leaves_out_stale_ones() -> None:
     fresh = record_of(RESULT, "voting")
     old = changed(record_of(replace(RESULT, scene="plum-small-102", species="plum"), "voting"), code="0123")
-    text = filled("<!-- table known-cameras -->\n\n<!-- end -->", [fresh, old])
+    text = fill("<!-- table known-cameras -->\n\n<!-- end -->", [fresh, old])
     assert "Stale" not in text
     assert "15 of 16 rows are not measured yet" in text
     assert "| apple | 100, 90 | 0.904 |  |  |" in text
@@ -260,7 +260,7 @@ def test_whole_trees_have_the_cameras_that_they_were_measured_with_and_failures_
 
 def test_tables_that_are_made_from_the_ladder_have_its_head() -> None:
     for name in ("photos-alone", "missed"):
-        text = filled(f"<!-- table {name} -->\n<!-- end -->\nafter\n<!-- end -->", [record_of(RESULT, "voting")])
+        text = fill(f"<!-- table {name} -->\n<!-- end -->\nafter\n<!-- end -->", [record_of(RESULT, "voting")])
         assert "119 of 120 rows are not measured yet" in text
         assert "\nafter\n" in text
 

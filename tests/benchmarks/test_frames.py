@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from fruitlangs.benchmarks.ladder.frames import as_seen, by_cameras, by_fruit
+from fruitlangs.benchmarks.ladder.frames import align_by_cameras, align_by_fruit, warp_to_view
 from fruitlangs.engine.evaluation.renders import read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import true_surface
 from fruitlangs.engine.scene.camera import Scene
@@ -64,10 +64,10 @@ def test_fruit_bring_what_is_counted_into_place_although_the_cameras_are_off(fol
     depths, instances = read_depths(folder, true), read_instances(folder, true)
     surface = true_surface(true, depths, instances)
     found = moved_scene(true, off=0.15)
-    fruit = by_fruit(moved_gaussians(surface.gaussians), found, true, depths, instances)
+    fruit = align_by_fruit(moved_gaussians(surface.gaussians), found, true, depths, instances)
     errors = [
         np.linalg.norm(back.apply(moved(ball_scene.BALLS)) - ball_scene.BALLS, axis=1).max()
-        for back in (fruit, by_cameras(found, true))
+        for back in (fruit, align_by_cameras(found, true))
     ]
     assert errors[0] < 0.01
     assert errors[1] > 0.02
@@ -78,14 +78,14 @@ def test_without_fruit_in_the_photos_the_cameras_are_used(folder: Path, true: Sc
     depths, instances = read_depths(folder, true), read_instances(folder, true)
     surface = true_surface(true, depths, instances)
     none = [np.zeros_like(ids) for ids in instances]
-    back = by_fruit(moved_gaussians(surface.gaussians), moved_scene(true), true, depths, none)
+    back = align_by_fruit(moved_gaussians(surface.gaussians), moved_scene(true), true, depths, none)
     np.testing.assert_allclose(back.apply(moved(ball_scene.BALLS)), ball_scene.BALLS, atol=1e-6)
 
 
 def test_views_are_paired_by_their_photos_names(true: Scene) -> None:
     found = moved_scene(true)
     found = dataclasses.replace(found, cameras=found.cameras[::-1], images=found.images[::-1])
-    back = by_cameras(found, true)
+    back = align_by_cameras(found, true)
     np.testing.assert_allclose(back.apply(moved(ball_scene.BALLS)), ball_scene.BALLS, atol=1e-6)
 
 
@@ -95,4 +95,4 @@ def test_values_of_a_photo_follow_it_when_its_lens_is_undone(true: Scene) -> Non
     params = (ball_scene.FOCAL, ball_scene.WIDTH / 2, ball_scene.HEIGHT / 2, 0.25)
     curved = dataclasses.replace(photo, lens=Lens("SIMPLE_RADIAL", params, ball_scene.WIDTH, ball_scene.HEIGHT))
     values, straight = photo.pixels().astype(np.float32), curved.pixels().astype(np.float32)
-    assert np.abs(as_seen(curved, values) - straight).mean() < 0.3 * np.abs(values - straight).mean()
+    assert np.abs(warp_to_view(curved, values) - straight).mean() < 0.3 * np.abs(values - straight).mean()

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from fruitlangs.benchmarks.ladder.ladder import StageResult, climb
-from fruitlangs.benchmarks.ladder.pages import losses, stage_rows
+from fruitlangs.benchmarks.ladder.pages import measure_losses, stage_rows
 from fruitlangs.benchmarks.ladder.stages import (
     COUNTING_ONLY,
     END_TO_END,
@@ -182,7 +182,7 @@ def test_true_masks_become_maps_of_the_size_that_the_encoder_gives_at_the_scales
     # Fruit are `angle` pixels wide.
     focal = focal_length(stages.scene.cameras[0])
     monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_: angle / focal)
-    maps = stages._true_maps(stages.scene)
+    maps = stages._make_true_maps(stages.scene)
     assert maps is not None
     for found, ids in zip(maps, stages.instances, strict=True):
         size = tuple(round(side * share) for side in ids.shape)
@@ -209,9 +209,11 @@ def test_the_stage_with_true_geometry_lifts_features_at_the_scales_of_a_run(
 
 
 def test_the_stage_that_loses_most_is_named() -> None:
-    assert losses({COUNTING_ONLY: 0.98, TRUE_MASKS: 0.95, TRUE_POSES: 0.80, END_TO_END: 0.78}).largest == "masks"
-    assert losses({COUNTING_ONLY: 0.90, TRUE_MASKS: 0.95}).largest == "counting"
-    assert losses({COUNTING_ONLY: 1.0}).largest == ""
+    assert (
+        measure_losses({COUNTING_ONLY: 0.98, TRUE_MASKS: 0.95, TRUE_POSES: 0.80, END_TO_END: 0.78}).largest == "masks"
+    )
+    assert measure_losses({COUNTING_ONLY: 0.90, TRUE_MASKS: 0.95}).largest == "counting"
+    assert measure_losses({COUNTING_ONLY: 1.0}).largest == ""
 
 
 def test_the_earlier_name_of_the_flag_of_stages_is_read() -> None:

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from fruitlangs.benchmarks.evidence.records import read_records
-from fruitlangs.benchmarks.evidence.tables import TABLES, _measured_trees
+from fruitlangs.benchmarks.evidence.tables import TABLES, _select_measured_trees
 from fruitlangs.benchmarks.ladder.stages import END_TO_END, TRUE_POSES
 from fruitlangs.benchmarks.shared_errors import (
     MeasuredTree,
-    held_sums,
-    held_sums_left_out,
+    estimate_shared_error,
     intraclass_correlation,
-    shared_error,
+    measure_held_sums,
+    measure_held_sums_left_out,
 )
 from fruitlangs.engine.block.totals import SHARED_ALL, SHARED_VISIBLE
 
@@ -51,27 +51,30 @@ def test_the_error_of_a_tree_is_the_log_ratio_of_the_middle_of_its_interval_to_t
     assert replace(TREE, low=50.0, high=128.0).log_error == pytest.approx(math.log(0.8))
     assert replace(TREE, low=0.0, high=20_000.0).log_error == pytest.approx(0.0)
     alike = {"apple": [replace(TREE, true=150)] * 3, "pear": [replace(TREE, true=80)] * 3}
-    assert shared_error(alike).value == 1.0
+    assert estimate_shared_error(alike).value == 1.0
 
 
 def test_sums_of_trees_with_one_error_hold_only_if_it_is_taken_as_shared() -> None:
     same = [replace(TREE, true=108), replace(TREE, true=109)]
-    assert held_sums(same, 1.0, 3) == 1.0
-    assert held_sums(same, 0.0, 3) == 0.0
+    assert measure_held_sums(same, 1.0, 3) == 1.0
+    assert measure_held_sums(same, 0.0, 3) == 0.0
     opposite = [replace(TREE, true=108), replace(TREE, true=92)]
-    assert held_sums(opposite, 0.0, 3) == 0.75  # of 8 draws, 3 times 108 and 3 times 92 do not hold
+    assert measure_held_sums(opposite, 0.0, 3) == 0.75  # of 8 draws, 3 times 108 and 3 times 92 do not hold
 
 
 def test_what_is_left_out_has_the_shared_part_of_the_others() -> None:
     shifted = [replace(TREE, true=108), replace(TREE, true=109)]
     apart = {"apple": shifted, "pear": [replace(TREE, true=91), replace(TREE, true=92)], "plum": shifted}
-    assert shared_error(apart).value > 0.9
-    assert held_sums_left_out(apart, 3) == pytest.approx(2.0 / 3.0)  # apple and plum alone are alike
+    assert estimate_shared_error(apart).value > 0.9
+    assert measure_held_sums_left_out(apart, 3) == pytest.approx(2.0 / 3.0)  # apple and plum alone are alike
 
 
 @pytest.mark.parametrize(("number", "used"), [("visible", SHARED_VISIBLE), ("total", SHARED_ALL)])
 def test_the_shared_parts_are_those_of_the_measured_trees_counted_from_photos_alone(number: str, used: float) -> None:
-    found = [shared_error(_measured_trees(read_records(), stage, number)) for stage in (END_TO_END, TRUE_POSES)]
+    found = [
+        estimate_shared_error(_select_measured_trees(read_records(), stage, number))
+        for stage in (END_TO_END, TRUE_POSES)
+    ]
     assert used == pytest.approx(found[0].value, abs=0.05)
     assert used > found[1].value
 

@@ -13,7 +13,7 @@ from fruitlangs.benchmarks.evidence.records import Record, record_of
 from fruitlangs.benchmarks.evidence.tables import TABLES
 from fruitlangs.benchmarks.ladder.ladder import StageResult
 from fruitlangs.benchmarks.ladder.stages import TRUE_POSES
-from fruitlangs.benchmarks.two_photos import TWO_PHOTOS, fruit_seen, opposite
+from fruitlangs.benchmarks.two_photos import TWO_PHOTOS, count_fruit_seen, find_opposite
 from fruitlangs.engine.language.prompts.photo_probability import PhotoMap
 
 RADIUS = 10.0
@@ -31,19 +31,19 @@ def shown(*centers: tuple[float, float], hidden_left_of: int = 0) -> PhotoMap:
 
 
 def test_touching_fruit_are_counted_one_by_one() -> None:
-    assert fruit_seen(shown((20.0, 30.0), (36.0, 30.0), (70.0, 20.0))) == 3
+    assert count_fruit_seen(shown((20.0, 30.0), (36.0, 30.0), (70.0, 20.0))) == 3
 
 
 def test_a_fruit_whose_middle_is_hidden_is_counted() -> None:
-    assert fruit_seen(shown((20.0, 30.0), hidden_left_of=26)) == 1
+    assert count_fruit_seen(shown((20.0, 30.0), hidden_left_of=26)) == 1
 
 
 def test_a_photo_of_leaves_shows_no_fruit() -> None:
-    assert fruit_seen(shown()) == 0
+    assert count_fruit_seen(shown()) == 0
 
 
 def test_the_opposite_photo_is_from_the_other_side_of_the_tree() -> None:
-    assert opposite([ring_camera(2.0 * np.pi * number / 8) for number in range(8)]) == 4
+    assert find_opposite([ring_camera(2.0 * np.pi * number / 8) for number in range(8)]) == 4
 
 
 def measured(species: str, seed: int, seen: int, ours: int, estimate: float | None, total: int) -> list[Record]:

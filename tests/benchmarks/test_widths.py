@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 
 from fruitlangs.benchmarks import widths
-from fruitlangs.benchmarks.widths import WidthRow, draw_widths, mean_width, measure_widths, read_widths, write_widths
+from fruitlangs.benchmarks.widths import (
+    WidthRow,
+    draw_widths,
+    measure_mean_width,
+    measure_widths,
+    read_widths,
+    write_widths,
+)
 from fruitlangs.engine.config import SceneConfig
 from fruitlangs.engine.evaluation.renders import read_depths, read_instances
 from fruitlangs.engine.evaluation.true_surface import true_surface
@@ -37,7 +44,7 @@ def test_a_tree_is_counted_in_photos_of_fewer_and_fewer_pixels(tmp_path: Path, m
     scene = read_scene(folder, SceneConfig())
     surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
     write_ply(tmp_path / "gaussians.ply", surface.gaussians)
-    own = mean_width(read_truth(folder / "truth.json"), scene.cameras)
+    own = measure_mean_width(read_truth(folder / "truth.json"), scene.cameras)
     monkeypatch.setattr(widths, "WIDTHS", (own / 2.0, 2.0 * own))
     half, whole = measure_widths(folder, tmp_path / "gaussians.ply")
     assert whole.width == pytest.approx(own)
@@ -50,7 +57,9 @@ def test_the_width_is_that_of_the_fruit_in_the_photos(tmp_path: Path) -> None:
     folder = ball_scene.write_scene(tmp_path / "apple-1", views=2)
     (one, _), truth = read_scene(folder, SceneConfig()).cameras, read_truth(folder / "truth.json")
     away = np.linalg.norm(truth.centers - one.center, axis=1)
-    assert mean_width(truth, [one]) == pytest.approx(np.mean(truth.diameters / away) * ball_scene.FOCAL, rel=0.05)
+    assert measure_mean_width(truth, [one]) == pytest.approx(
+        np.mean(truth.diameters / away) * ball_scene.FOCAL, rel=0.05
+    )
 
 
 def test_new_rows_of_a_tree_replace_its_earlier_ones_and_keep_those_of_others(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import torch
 from checkpoints import write_clip
 
 from fruitlangs.benchmarks.cameras import SEARCH_STAGES, camera_table, measure_cameras
-from fruitlangs.benchmarks.counting.speed import measure_counting, one_crown
+from fruitlangs.benchmarks.counting.speed import make_crown, measure_counting
 from fruitlangs.benchmarks.language import measure_language
 from fruitlangs.benchmarks.stopwatch import Stopwatch
 from fruitlangs.benchmarks.training import plain_rasterizer, published_3dgs
@@ -37,9 +37,9 @@ from fruitlangs.benchmarks.training.step_times import (
     STAGES,
     STEP,
     Setting,
-    ahead,
+    look_ahead,
+    make_orchard_like,
     measure,
-    orchard_like,
 )
 from fruitlangs.engine.config import CountConfig, EmbedConfig, SceneConfig, TrainConfig
 from fruitlangs.engine.counting.sizing import fruit_size
@@ -62,7 +62,7 @@ SHORT = TrainConfig(steps=40, max_gaussians=3000, sh_degree=0, densify_every=10)
 
 
 def test_the_peer_draws_the_same_picture_and_pulls_the_same_way() -> None:
-    gaussians, camera = orchard_like(400), ahead(80, 60)
+    gaussians, camera = make_orchard_like(400), look_ahead(80, 60)
     leaves = {name: getattr(gaussians, name).clone().requires_grad_() for name in PARAMETERS}
     view = plain_rasterizer.View.of(camera.K, camera.world_to_camera, camera.width, camera.height)
     splats = plain_rasterizer.project(leaves, view)
@@ -215,9 +215,9 @@ def test_counting_is_timed_from_the_size_to_the_description_of_the_fruit() -> No
 
 
 def test_of_two_thousand_fruit_the_size_is_that_of_one_crown() -> None:
-    crown = one_crown()
+    crown = make_crown()
     sizes = []
-    for stack in (crown, crown.repeated(3)):
+    for stack in (crown, crown.repeat(3)):
         size = fruit_size(stack.gaussians, stack.probability, stack.visibility, stack.seen, CountConfig())
         assert size is not None
         sizes.append(size.diameter)

@@ -12,7 +12,7 @@ import fit_interval
 import numpy as np
 import pytest
 
-from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, any_setting, simulate
+from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, sample_setting, simulate
 from fruitlangs.engine.counting.accounts.interval import COVARIATES, TRAINED, Evidence
 from fruitlangs.engine.errors import ConfigError, FormatError
 from fruitlangs.engine.evaluation.truth import read_truth
@@ -151,8 +151,8 @@ def test_a_crown_becomes_an_example_with_fruit_that_views_show_and_all():
 
 
 def test_settings_drawn_at_random_differ_and_span_the_named_ones():
-    drawn = [any_setting(seed) for seed in range(200)]
-    assert drawn[0] == any_setting(0) != drawn[1]
+    drawn = [sample_setting(seed) for seed in range(200)]
+    assert drawn[0] == sample_setting(0) != drawn[1]
     for setting in SETTINGS.values():
         assert min(each.leaves for each in drawn) < setting.leaves <= max(each.leaves for each in drawn) * 1.1
         assert min(each.fruits[0] for each in drawn) < setting.fruits[0]

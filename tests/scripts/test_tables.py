@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from fruitlangs.benchmarks.paper.figures import ABLATIONS, COUNTERS, METHODS, PRINTED
-from fruitlangs.benchmarks.paper.fruit_field import learnt
+from fruitlangs.benchmarks.paper.fruit_field import learn
 from fruitlangs.benchmarks.paper.pages import ablation_table, count_table, reconstruction_table
 from fruitlangs.benchmarks.paper.tables import (
     VARIANTS,
@@ -18,7 +18,7 @@ from fruitlangs.benchmarks.paper.tables import (
     SceneTables,
     Tally,
     measure_tables,
-    passes_without_language,
+    select_without_language,
 )
 from fruitlangs.engine.config import Config, CountConfig, TrainConfig
 from fruitlangs.engine.errors import FormatError
@@ -58,16 +58,16 @@ def test_a_fruit_field_learns_which_gaussians_the_masks_show(scene: Path) -> Non
     ids = read_instances(scene, posed)
     surface = true_surface(posed, read_depths(scene, posed), ids)
     masks = [torch.from_numpy(each > 0) for each in ids]
-    field = learnt(surface.gaussians, posed.cameras, masks).numpy()
+    field = learn(surface.gaussians, posed.cameras, masks).numpy()
     assert field[surface.fruit > 0].mean() > 0.8
     assert field[surface.fruit == 0].mean() < 0.1
-    assert np.array_equal(field, learnt(surface.gaussians, posed.cameras, masks).numpy())
+    assert np.array_equal(field, learn(surface.gaussians, posed.cameras, masks).numpy())
 
 
 def test_without_language_ground_and_surroundings_are_cut_and_balls_pass(scene: Path) -> None:
     posed = read_scene(scene)
     surface = true_surface(posed, read_depths(scene, posed), read_instances(scene, posed))
-    passed = passes_without_language(surface.gaussians, posed).numpy() > 0
+    passed = select_without_language(surface.gaussians, posed).numpy() > 0
     away = np.linalg.norm(surface.gaussians.means.numpy() - posed.middle, axis=1)
     assert passed[surface.fruit > 0].mean() > 0.9
     assert passed[surface.fruit == 0].mean() < 0.05
