@@ -15,8 +15,8 @@ from ..engine.language.teaching.learning import Background, Examples, learn
 from ..engine.language.teaching.lesson import select_evenly
 from ..engine.language.teaching.region import MOST, SAMPLE
 from ..engine.language.vocabulary import CONCEPTS
-from .encoder.pictures import IGNORED, POSITIVE_SHARE, Picture, inside
-from .encoder.samples import STEP, FloatArray, at_pixels
+from .encoder.pictures import IGNORED, POSITIVE_SHARE, Picture, find_inside
+from .encoder.samples import STEP, FloatArray, interpolate
 
 
 @dataclass(frozen=True)
@@ -30,21 +30,22 @@ class TaughtScore:
     built_in: float
 
 
-def taught_scores(
+def score_taught(
     encoder: EmbeddedEncoder, train: Sequence[Picture], val: Sequence[Picture], *, photos: int = 10, seed: int = 0
 ) -> dict[str, TaughtScore]:
-    """By set of photos. photos: how many of `train` to teach on, evenly selected among those with boxes."""
+    """Return scores by set of photos. photos: how many of `train` to teach on, evenly selected among those with
+    boxes."""
     scores = {}
     for source in sorted({picture.source for picture in val}):
         own = [picture for picture in train if picture.source == source and picture.boxes]
         shown = [own[place] for place in select_evenly(np.arange(len(own)), photos)]
-        weights, bias, boxes = _taught(encoder, shown, np.random.default_rng(seed))
+        weights, bias, boxes = _teach(encoder, shown, np.random.default_rng(seed))
         fruit, taught, built_in = list[NDArray[np.bool_]](), list[FloatArray](), list[FloatArray]()
         for picture in (picture for picture in val if picture.source == source):
             known = np.flatnonzero(picture.labels[::STEP, ::STEP] != IGNORED)
             view = encoder.encode_fruit(picture.pixels)
             features, evidence = (
-                at_pixels(each, picture.labels.shape, STEP).flatten(0, 1)[known]
+                interpolate(each, picture.labels.shape, STEP).flatten(0, 1)[known]
                 for each in (view.features, view.embedding)
             )
             taught.append(evidence.double().numpy() @ weights + bias)
@@ -60,15 +61,15 @@ def taught_scores(
     return scores
 
 
-def _taught(
+def _teach(
     encoder: EmbeddedEncoder, photos: Sequence[Picture], rng: np.random.Generator
 ) -> tuple[FloatArray, float, int]:
-    """Weights and bias of the word, as `Lesson` learns it from Gaussians, and the number of boxes."""
+    """Return weights and bias of the word, as `Lesson` learns it from Gaussians, and the number of boxes."""
     rows, groups, background = list[FloatArray](), list[NDArray[np.int64]](), list[FloatArray]()
     for picture in photos:
-        evidence = _evidence(encoder, picture)
+        evidence = _compute_evidence(encoder, picture)
         for box in picture.boxes:
-            pixels = evidence[inside(box, POSITIVE_SHARE, picture.labels.shape)]
+            pixels = evidence[find_inside(box, POSITIVE_SHARE, picture.labels.shape)]
             if len(pixels):
                 rows.append(pixels[select_evenly(np.arange(len(pixels)), MOST)])
                 groups.append(np.full(len(rows[-1]), len(groups)))
@@ -81,8 +82,8 @@ def _taught(
     return weights.double().numpy(), bias, len(groups)
 
 
-def _evidence(encoder: EmbeddedEncoder, picture: Picture) -> FloatArray:
-    """(H, W, F) what taught words are learnt from."""
+def _compute_evidence(encoder: EmbeddedEncoder, picture: Picture) -> FloatArray:
+    """Return (H, W, F): what taught words are learnt from."""
     embedding = encoder.encode_fruit(picture.pixels).embedding
-    evidence: FloatArray = at_pixels(embedding, picture.labels.shape).double().numpy()
+    evidence: FloatArray = interpolate(embedding, picture.labels.shape).double().numpy()
     return evidence

@@ -19,12 +19,12 @@ from .encoder.batches import Material
 from .encoder.calibration import calibrate
 from .encoder.card import write_card
 from .encoder.learning import Course, check_course, learn
-from .encoder.lifted import FRUIT_SHARE, calibrate_lifted, lifted_measures, lifted_scene, rendered_scenes
-from .encoder.measures import Unseen, halves, measure
+from .encoder.lifted import FRUIT_SHARE, calibrate_lifted, find_rendered_scenes, lift_scene, measure_lifted
+from .encoder.measures import Unseen, measure, split_halves
 from .encoder.pasting import cut_fruit, cut_objects
-from .encoder.pictures import Picture, plain_pictures, read_photos, read_renders, training_seeds
+from .encoder.pictures import Picture, make_plain_pictures, read_photos, read_renders, training_seeds
 from .encoder.samples import sample
-from .encoder.widening import widened
+from .encoder.widening import widen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,13 +77,13 @@ def train_encoder(options: Options) -> None:
     past = resume(network, options.start) if options.start else Past([], [])
     check_unseen(pictures.held_out, past)
     steps = learn(network, pictures.material, options)
-    judge(network, pictures, made_by(past, pictures, options, steps), options.out)
+    judge(network, pictures, describe_origin(past, pictures, options, steps), options.out)
 
 
 def read_pictures(options: Options) -> Pictures:
     """Read the photos and the renders, and cut out the fruit of those for training."""
     photos, renders = read_photos(options.photos, "train"), read_renders(options.renders) if options.renders else []
-    lifted = rendered_scenes(options.renders) if options.renders else []
+    lifted = find_rendered_scenes(options.renders) if options.renders else []
     learnt, held_out = split_scenes(renders)
     rendered = [options.renders / name for name in {p.source for p in learnt}] if options.renders else []
     seeds = training_seeds([*rendered, *lifted])
@@ -94,8 +94,8 @@ def read_pictures(options: Options) -> Pictures:
     return Pictures(material, read_photos(options.photos, "val"), held_out, lifted, seeds)
 
 
-def made_by(past: Past, pictures: Pictures, options: Options, steps: int) -> Past:
-    """The origin of the weights, with this run if it took steps."""
+def describe_origin(past: Past, pictures: Pictures, options: Options, steps: int) -> Past:
+    """Return the origin of the weights, with this run if it took steps."""
     this_run = {
         "steps": steps,
         "processes": options.processes,
@@ -116,27 +116,27 @@ def judge(network: Network, pictures: Pictures, past: Past, out: Path) -> None:
     """
     draft = out.with_suffix(".draft.safetensors")
 
-    def opened(calibration: Calibration) -> EmbeddedEncoder:
+    def open_encoder(calibration: Calibration) -> EmbeddedEncoder:
         save_weights(draft, network, calibration, widths=WIDTHS, depths=DEPTHS, **asdict(past))
         return EmbeddedEncoder.open(draft)
 
-    encoder = opened(Calibration())
+    encoder = open_encoder(Calibration())
     unseen = Unseen(
         pictures.val_photos,
         pictures.held_out,
-        *(sample(encoder, each) for each in (pictures.val_photos, pictures.held_out, plain_pictures())),
+        *(sample(encoder, each) for each in (pictures.val_photos, pictures.held_out, make_plain_pictures())),
     )
-    fitted, judged = halves(unseen)
+    fitted, judged = split_halves(unseen)
     pixels = calibrate(encoder, fitted.photo_samples, fitted.render_samples)
-    measures = measure(opened(pixels.calibration), unseen, judged, pixels)
+    measures = measure(open_encoder(pixels.calibration), unseen, judged, pixels)
     scenes = [
         scene
         for rendered_scene in pictures.rendered_scenes
-        if (scene := lifted_scene(encoder, rendered_scene)).is_informative
+        if (scene := lift_scene(encoder, rendered_scene)).is_informative
     ]
     calibration = calibrate_lifted(scenes, pixels.calibration).calibration if scenes else pixels.calibration
-    overlap = lifted_measures(scenes, pixels.calibration)
-    opened(calibration)
+    overlap = measure_lifted(scenes, pixels.calibration)
+    open_encoder(calibration)
     draft.replace(out)
     document = {
         **asdict(past),
@@ -158,7 +158,7 @@ def resume(network: Network, start: Path) -> Past:
     """
     stored = read_weights(start)
     try:
-        network.load_state_dict(widened(stored, network))
+        network.load_state_dict(widen(stored, network))
     except ValueError as error:
         raise EncoderError(f"The weights {start} are of a larger network. Start from weights of this script") from error
     try:

@@ -36,7 +36,7 @@ from ...engine.scene.read import read_scene
 from ...engine.splatting.gaussians import Gaussians
 from ...orchard.config import FIRST_TRAINING_SEED
 from ...orchard.files.truth import is_visible
-from ..encoder.lifted import KEPT, rendered_scenes, trained, true_fruit
+from ..encoder.lifted import KEPT, find_rendered_scenes, measure_true_fruit, train_once
 from ..encoder.pictures import training_seeds
 
 
@@ -64,8 +64,8 @@ def check_seed(first: int) -> None:
         raise ConfigError(f"Seeds below {FIRST_TRAINING_SEED} are for tests and tables. Give a larger --first")
 
 
-def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:
-    """One crown per setting and seed."""
+def simulate_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterator[Case]:
+    """Simulate one crown per setting and seed."""
     progress, todo = terminal_progress(), [(name, seed) for seed in seeds for name in settings]
     for place, (name, seed) in enumerate(todo):
         progress(place / len(todo), f"{name}, seed {seed}")
@@ -74,14 +74,14 @@ def crown_cases(settings: Mapping[str, Setting], seeds: Sequence[int]) -> Iterat
     progress(1.0, "crowns done")
 
 
-def rendered_cases(renders: Path) -> Iterator[Case]:
-    """Gaussians trained on rendered trees, with true masks and with the package's encoder."""
+def iterate_rendered_cases(renders: Path) -> Iterator[Case]:
+    """Yield Gaussians trained on rendered trees, with true masks and with the package's encoder."""
     encoder = EmbeddedEncoder.open()
-    for folder, scene, species, truth in rendered_trees(renders):
-        gaussians = trained(folder / KEPT, scene)
-        said, maps = encoded(gaussians, scene, species, encoder)
+    for folder, scene, species, truth in iterate_rendered_trees(renders):
+        gaussians = train_once(folder / KEPT, scene)
+        said, maps = encode(gaussians, scene, species, encoder)
         kinds = [
-            ("walk, true masks", true_fruit(folder, scene, gaussians), None),
+            ("walk, true masks", measure_true_fruit(folder, scene, gaussians), None),
             ("walk, encoder", said, None),
             ("walk, encoder and photos", said, maps),
         ]
@@ -90,21 +90,21 @@ def rendered_cases(renders: Path) -> Iterator[Case]:
             yield Case(kind, family, gaussians, probability, scene.cameras, truth, truth.visible, shown)
 
 
-def halved_cases(renders: Path) -> Iterator[Case]:
-    """Gaussians trained in the quick preset on every second photo of rendered trees, with the package's encoder and
-    what these photos show. The Gaussians are kept in the tree's folder."""
+def iterate_halved_cases(renders: Path) -> Iterator[Case]:
+    """Yield Gaussians trained in the quick preset on every second photo of rendered trees, with the package's encoder
+    and what these photos show. The Gaussians are kept in the tree's folder."""
     encoder = EmbeddedEncoder.open()
-    for folder, whole, species, truth in rendered_trees(renders):
+    for folder, whole, species, truth in iterate_rendered_trees(renders):
         scene = replace(whole, cameras=whole.cameras[::2], images=whole.images[::2])
-        gaussians = trained(folder / "gaussians-half.ply", scene, "quick")
-        probability, maps = encoded(gaussians, scene, species, encoder)
-        shown = shown_in(folder / TRUTH, truth, [photo.name for photo in scene.images])
+        gaussians = train_once(folder / "gaussians-half.ply", scene, "quick")
+        probability, maps = encode(gaussians, scene, species, encoder)
+        shown = find_shown(folder / TRUTH, truth, [photo.name for photo in scene.images])
         family = f"walk {folder.name}"
         yield Case("walk, half of the photos", family, gaussians, probability, scene.cameras, truth, shown, maps)
 
 
-def shown_in(path: Path, truth: Truth, photos: Sequence[str]) -> NDArray[np.bool_]:
-    """(M,) which true fruit of the `truth.json` at `path` enough of these photos show."""
+def find_shown(path: Path, truth: Truth, photos: Sequence[str]) -> NDArray[np.bool_]:
+    """Find (M,) which true fruit of the `truth.json` at `path` enough of these photos show."""
     assert truth.ids is not None
     shown = set()
     for fruit in json.loads(path.read_text(encoding="utf-8"))["fruits"]:
@@ -115,10 +115,10 @@ def shown_in(path: Path, truth: Truth, photos: Sequence[str]) -> NDArray[np.bool
     return np.isin(truth.ids, list(shown))
 
 
-def encoded(
+def encode(
     gaussians: Gaussians, scene: Scene, species: str, encoder: EmbeddedEncoder
 ) -> tuple[torch.Tensor, list[PhotoMap] | None]:
-    """What the encoder says of a species: the probability (N,) of the Gaussians, and the maps of the photos."""
+    """Return what the encoder says of a species: the probability (N,) of the Gaussians, and the maps of the photos."""
     recorder = PhotoFeaturesRecorder(encoder.kinds(), encoder.fruit_identity)
     photos = encode_photos(scene, encoder, photo_scales(scene, encoder), recorder)
     features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
@@ -126,22 +126,22 @@ def encoded(
     return probability, photo_probabilities(recorder.collect(), features, encoder, [species])
 
 
-def surface_cases(renders: Path) -> Iterator[Case]:
-    """The true surfaces of rendered trees as their views show them, with true masks."""
-    for folder, scene, _, truth in rendered_trees(renders):
+def iterate_surface_cases(renders: Path) -> Iterator[Case]:
+    """Yield the true surfaces of rendered trees as their views show them, with true masks."""
+    for folder, scene, _, truth in iterate_rendered_trees(renders):
         surface = true_surface(scene, read_depths(folder, scene), read_instances(folder, scene))
         probability = torch.from_numpy((surface.fruit > 0).astype(np.float64))
         kind = "walk, true surfaces"
         yield Case(kind, f"walk {folder.name}", surface.gaussians, probability, scene.cameras, truth, truth.visible)
 
 
-def rendered_trees(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
-    """Folder, scene, species and truth of each rendered tree.
+def iterate_rendered_trees(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
+    """Yield folder, scene, species and truth of each rendered tree.
 
     Raises:
         FormatError: a walk's seed is not recorded, or is kept for tests.
     """
-    progress, folders = terminal_progress(), rendered_scenes(renders)
+    progress, folders = terminal_progress(), find_rendered_scenes(renders)
     training_seeds(folders)
     for place, folder in enumerate(folders):
         progress(place / len(folders), f"walk {folder.name}")
@@ -150,8 +150,8 @@ def rendered_trees(renders: Path) -> Iterator[tuple[Path, Scene, str, Truth]]:
     progress(1.0, "walks done")
 
 
-def searched(case: Case) -> tuple[Search, list[Picture]] | None:
-    """The candidates of a case with their probabilities, and its views; None if no part of it is round."""
+def search_case(case: Case) -> tuple[Search, list[Picture]] | None:
+    """Find the candidates of a case with their probabilities, and its views; None if no part of it is round."""
     surface = surface_of(case.gaussians, case.probability, case.cameras)
     if surface.sample is None:
         return None

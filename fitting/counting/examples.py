@@ -31,8 +31,8 @@ class Example:
     total: int
 
 
-def merged_examples(earlier: Iterable[Example], later: Iterable[Example]) -> list[Example]:
-    """All examples; a later one of the same kind and family replaces the earlier one."""
+def merge_examples(earlier: Iterable[Example], later: Iterable[Example]) -> list[Example]:
+    """Return all examples; a later one of the same kind and family replaces the earlier one."""
     return list({(example.kind, example.family): example for example in (*earlier, *later)}.values())
 
 
@@ -59,12 +59,12 @@ def read_examples(path: Path = STORED_EXAMPLES) -> list[Example]:
         return []
     with path.open(encoding="utf-8", newline="") as file:
         try:
-            return [_example(cells) for cells in csv.DictReader(file)]
+            return [_parse_example(cells) for cells in csv.DictReader(file)]
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"{path} is damaged ({error}). Restore it from the repository") from error
 
 
-def _example(cells: dict[str, str]) -> Example:
+def _parse_example(cells: dict[str, str]) -> Example:
     covariates = np.array([float(cells[name]) for name in COVARIATES])
     evidence = Evidence(
         expected=float(cells["expected"]),

@@ -28,8 +28,8 @@ from ...engine.evaluation.judgement import Judgement, judge
 from ...engine.evaluation.truth import Truth
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ..encoder.calibration import logistic
-from ..encoder.lifted import KEPT, trained
-from .cases import Case, encoded, rendered_trees, searched
+from ..encoder.lifted import KEPT, train_once
+from .cases import Case, encode, iterate_rendered_trees, search_case
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -82,18 +82,18 @@ class Tree:
         return Verifier(network, self.views, self.surroundings)
 
 
-def prepared(renders: Path) -> Iterator[Tree]:
-    """Every rendered tree that is round in some part, with Gaussians trained on it, which are kept in its folder.
+def prepare_trees(renders: Path) -> Iterator[Tree]:
+    """Yield every rendered tree that is round in some part, with Gaussians trained on it, which are kept in its folder.
 
     Raises:
         FormatError: a walk's seed is not recorded, or is kept for tests.
     """
     encoder, threshold = EmbeddedEncoder.open(), CountConfig().threshold
-    for folder, scene, species, truth in rendered_trees(renders):
-        gaussians = trained(folder / KEPT, scene)
-        probability, maps = encoded(gaussians, scene, species, encoder)
+    for folder, scene, species, truth in iterate_rendered_trees(renders):
+        gaussians = train_once(folder / KEPT, scene)
+        probability, maps = encode(gaussians, scene, species, encoder)
         family = f"walk {folder.name}"
-        result = searched(Case("photos", family, gaussians, probability, scene.cameras, truth, truth.visible))
+        result = search_case(Case("photos", family, gaussians, probability, scene.cameras, truth, truth.visible))
         if result is None or maps is None:
             continue
         found, pictures = result
@@ -127,9 +127,9 @@ class Samples:
         )
 
 
-def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
-    """Places behind pixels that show fruit, around true fruit and on fruit that were found, each about as large as the
-    nearest true fruit and with most of the other true fruit known."""
+def sample_around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
+    """Sample places behind pixels that show fruit, around true fruit and on fruit that were found, each about as large
+    as the nearest true fruit and with most of the other true fruit known."""
     truth, diameter = tree.truth, tree.truth.mean_diameter
     places = find_likely_places(tree.views, tree.surroundings.fruit, diameter, tree.frame)
     rest = rng.permutation(places[BEST:])[:OTHERS]
@@ -139,27 +139,28 @@ def around_truth(tree: Tree, rng: np.random.Generator) -> Samples:
     distances, nearest = cKDTree(visible).query(centers)
     free = (distances < true_radii[nearest]) | (rng.random(len(centers)) < STILL_FREE)
     known = Places(
-        visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD, mismeasured(true_radii, KNOWN_RADIUS_SD, rng)
+        visible + rng.normal(size=visible.shape) * diameter * KNOWN_SD,
+        add_radius_errors(true_radii, KNOWN_RADIUS_SD, rng),
     )
     near = find_known_near(centers, known, np.where(free, nearest, -1))
     some = rng.random(near.shape) < KNOWN_SHARE
     some &= (rng.random(len(centers)) >= NOTHING_KNOWN)[:, None]
-    near = _packed(np.where(some, near, -1))
+    near = _pack(np.where(some, near, -1))
     explained = np.zeros((len(centers), len(visible)), bool)
     rows, columns = np.nonzero(near >= 0)
     explained[rows, near[rows, columns]] = True
-    radii = mismeasured(true_radii[nearest], PLACE_RADIUS_SD, rng)
-    return _samples(tree, Places(centers, radii), known, near, explained)
+    radii = add_radius_errors(true_radii[nearest], PLACE_RADIUS_SD, rng)
+    return _make_samples(tree, Places(centers, radii), known, near, explained)
 
 
-def mismeasured(radii: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
-    """Radii (S,) with errors; sd: the standard deviation of their logarithms."""
+def add_radius_errors(radii: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
+    """Return radii (S,) with errors; sd: the standard deviation of their logarithms."""
     return radii * np.exp(rng.normal(size=len(radii)) * sd)
 
 
-def mined(tree: Tree, network: Network | Networks, rng: np.random.Generator) -> Samples:
-    """Where the network looks for fruit, right or wrong, with the radii that it measures there, each with the fruit
-    that are known to it."""
+def mine_samples(tree: Tree, network: Network | Networks, rng: np.random.Generator) -> Samples:
+    """Return where the network looks for fruit, right or wrong, with the radii that it measures there, each with the
+    fruit that are known to it."""
     truth = tree.truth
     found = search_photos(tree.verifier(network), tree.diameter, tree.frame)
     places, numbers = found.places, np.arange(len(found.places))
@@ -173,25 +174,25 @@ def mined(tree: Tree, network: Network | Networks, rng: np.random.Generator) -> 
     parts = []
     for sd, radius_sd in ((0.0, 0.0), (MINED_SD, KNOWN_RADIUS_SD)):
         centers = places.centers + rng.normal(size=places.centers.shape) * found.diameter * sd
-        near, radii = find_known_near(centers, known, own), mismeasured(places.radii, radius_sd, rng)
-        parts.append(_samples(tree, Places(centers, radii), known, near, explained))
+        near, radii = find_known_near(centers, known, own), add_radius_errors(places.radii, radius_sd, rng)
+        parts.append(_make_samples(tree, Places(centers, radii), known, near, explained))
     return Samples.join(parts)
 
 
-def _packed(near: IntArray) -> IntArray:
-    """Each row with its numbers first and -1 after them."""
+def _pack(near: IntArray) -> IntArray:
+    """Return each row with its numbers first and -1 after them."""
     return np.take_along_axis(near, np.argsort(near < 0, axis=1, kind="stable"), 1)
 
 
-def _samples(
+def _make_samples(
     tree: Tree,
     places: Places,
     known: Places,
     near: IntArray,
     explained: NDArray[np.bool_],
 ) -> Samples:
-    """What the network is given of places as `Verifier.verify` gives it, and what it should answer; explained: (S, F)
-    which visible fruit are known to each place."""
+    """Return what the network is given of places as `Verifier.verify` gives it, and what it should answer; explained:
+    (S, F) which visible fruit are known to each place."""
     truth, centers, radii = tree.truth, places.centers, places.radii
     diameters = truth.diameters[truth.visible]
     visible, hidden = truth.centers[truth.visible], truth.centers[~truth.visible]
@@ -234,12 +235,12 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
         order, losses = torch.randperm(len(samples), generator=generator), [0.0, 0.0, 0.0]
         for number in range(batches):
             rows = order[number * BATCH : (number + 1) * BATCH]
-            crops, shifts = _turned(samples.crops[rows].float(), samples.shifts[rows], generator)
+            crops, shifts = _rotate_and_mirror(samples.crops[rows].float(), samples.shifts[rows], generator)
             dropped = MOST_DROPPED * torch.rand(len(rows), 1, generator=generator)
             exists = samples.exists[rows]
             exists = exists & (torch.rand(exists.shape, generator=generator) >= dropped)
             odds, guesses, errors, growths, size_errors = network(
-                crops, exists, _unmatched(_rescale(samples.scene[rows], generator), generator)
+                crops, exists, _mask_matches(_rescale(samples.scene[rows], generator), generator)
             )
             verdict = functional.binary_cross_entropy_with_logits(
                 odds, samples.fruit[rows], weight=samples.weights[rows]
@@ -260,8 +261,8 @@ def fit(samples: Samples, *, epochs: int, seed: int, report: Callable[[str], Non
     return network.eval()
 
 
-def _unmatched(scene: Tensor, generator: torch.Generator) -> Tensor:
-    """Numbers of the scene (n, SCENE), some of them as if the Gaussians around did not match the prompt."""
+def _mask_matches(scene: Tensor, generator: torch.Generator) -> Tensor:
+    """Return the numbers of the scene (n, SCENE), some of them as if the Gaussians around did not match the prompt."""
     numbers = scene[:, -SURROUNDINGS:]
     _, _, around, within, _ = numbers.unbind(1)
     nothing = torch.zeros_like(around)
@@ -290,7 +291,7 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
         own = np.setdiff1d(np.flatnonzero(found.log_odds > UNLIKELY), judged.ignored)
         odds.append(found.log_odds[own])
         fruit.append(np.isin(own, judged.pairs.predicted))
-        errors.append(radius_errors(tree, found.places, judged) / found.radius_sds[judged.pairs.predicted])
+        errors.append(measure_radius_errors(tree, found.places, judged) / found.radius_sds[judged.pairs.predicted])
     said, true = np.concatenate(odds), np.concatenate(fruit)
     temperature, bias = logistic(said, true, np.ones(len(said)))
     widening = 1.48 * float(np.median(np.abs(np.concatenate(errors))))
@@ -302,15 +303,15 @@ def calibrate(network: Network, trees: Sequence[Tree]) -> None:
         last.bias[2] += np.log(widening)
 
 
-def radius_errors(tree: Tree, places: Places, judged: Judgement) -> FloatArray:
-    """(M,) the logarithm of the radii over the true ones, of the matched places in their judgement."""
+def measure_radius_errors(tree: Tree, places: Places, judged: Judgement) -> FloatArray:
+    """Measure (M,) the logarithm of the radii over the true ones, of the matched places in their judgement."""
     pairs = judged.pairs
     errors: FloatArray = np.log(2.0 * places.radii[pairs.predicted] / tree.truth.diameters[pairs.true])
     return errors
 
 
-def _turned(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Crops and shifts, mirrored and turned alike."""
+def _rotate_and_mirror(crops: Tensor, shifts: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Mirror and rotate crops and shifts alike."""
     way = int(torch.randint(0, 8, (1,), generator=generator))
     channels, signs = list(range(CHANNELS)), torch.ones(CHANNELS, 1, 1)
     if way & 1:

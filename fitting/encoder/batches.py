@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pasting import Cutout, paste
-from .pictures import Labels, Picture, plain_picture, put_object
+from .pictures import Labels, Picture, make_plain_picture, put_object
 
 CROP = 256
 """Side of a training crop, pixels."""
@@ -57,7 +57,7 @@ def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple
     for _ in range(size):
         kind = rng.random()
         if kind < PLAIN:
-            crop = _plain(material, rng)
+            crop = _make_plain(material, rng)
         elif kind < PLAIN + PHOTOS or not material.renders:
             crop = _crop(material.photos[rng.integers(len(material.photos))], rng, PHOTO_ZOOMS)
             _paste_some(crop, material, rng, probability=0.6, native=0.7)
@@ -65,7 +65,7 @@ def make_batch(material: Material, size: int, rng: np.random.Generator) -> tuple
             zooms = USUAL_ZOOMS if rng.random() < USUAL else RENDER_ZOOMS
             crop = _crop(material.renders[rng.integers(len(material.renders))], rng, zooms, focus=FOCUS)
             _paste_some(crop, material, rng, probability=0.15, native=0.7)
-        images.append(changed_light(torch.from_numpy(crop.pixels).permute(2, 0, 1).float() / 255.0, rng))
+        images.append(change_light(torch.from_numpy(crop.pixels).permute(2, 0, 1).float() / 255.0, rng))
         labels.append(torch.from_numpy(crop.labels))
     return torch.stack(images), torch.stack(labels).long()
 
@@ -86,7 +86,7 @@ def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float]
             fruit = words[words < len(FRUITS)]
             chosen = fruit if len(fruit) and rng.random() < FOCUS_ON_FRUIT else words
             places = np.flatnonzero(picture.labels.ravel() == rng.choice(chosen))
-            top, left = window_around(places, picture.labels.shape, (h, w), rng)
+            top, left = choose_window_around(places, picture.labels.shape, (h, w), rng)
     region = np.s_[top : top + h, left : left + w]
     shape = (CROP, CROP)
     resampling = Image.Resampling.BILINEAR if rng.random() < 0.5 else Image.Resampling.BICUBIC
@@ -97,11 +97,11 @@ def _crop(picture: Picture, rng: np.random.Generator, zooms: tuple[float, float]
     return Crop(pixels.copy(), labels.copy(), CROP / float(np.sqrt(w * h)))
 
 
-def window_around(
+def choose_window_around(
     places: NDArray[np.int64], shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator
 ) -> tuple[int, int]:
-    """Row and column of the first pixel of a random window of a size that shows one of the places of a picture of a
-    shape. places: row · width + column; sizes and shapes: height and width."""
+    """Choose row and column of the first pixel of a random window of a size that shows one of the places of a picture
+    of a shape. places: row · width + column; sizes and shapes: height and width."""
     start = divmod(int(places[rng.integers(len(places))]), shape[1])
     top, left = (
         int(np.clip(at - rng.integers(0, length), 0, whole - length))
@@ -110,8 +110,8 @@ def window_around(
     return top, left
 
 
-def _plain(material: Material, rng: np.random.Generator) -> Crop:
-    picture = plain_picture(rng, CROP)
+def _make_plain(material: Material, rng: np.random.Generator) -> Crop:
+    picture = make_plain_picture(rng, CROP)
     crop = Crop(picture.pixels.copy(), picture.labels.copy())
     for _ in range(rng.integers(0, 3)):
         put_object(crop.pixels, crop.labels, rng)
@@ -137,21 +137,21 @@ def _paste_some(crop: Crop, material: Material, rng: np.random.Generator, *, pro
         paste(crop.pixels, crop.labels, cutout, round(size), rng)
 
 
-def changed_light(image: Tensor, rng: np.random.Generator) -> Tensor:
-    """(3, H, W) with another exposure, contrast, white balance, saturation, blur and noise."""
+def change_light(image: Tensor, rng: np.random.Generator) -> Tensor:
+    """Return the image (3, H, W) with another exposure, contrast, white balance, saturation, blur and noise."""
     grey = image.mean(0, keepdim=True)
     image = grey + (image - grey) * rng.uniform(0.7, 1.3)
     image = image * torch.from_numpy(np.exp(rng.normal(0.0, 0.06, (3, 1, 1)))).float()
     image = image.clamp(1e-4, 1.0) ** float(np.exp(rng.normal(0.0, 0.2))) * float(np.exp(rng.normal(0.0, 0.2)))
     if rng.random() < 0.35:
-        image = _blurred(image, rng.uniform(0.4, 1.6))
+        image = _blur(image, rng.uniform(0.4, 1.6))
     if rng.random() < 0.5:
         noise = torch.from_numpy(rng.standard_normal(image.shape, dtype=np.float32))
         image = image + noise * float(rng.uniform(0.0, 0.04))
     return image.clamp(0.0, 1.0)
 
 
-def _blurred(image: Tensor, sigma: float) -> Tensor:
+def _blur(image: Tensor, sigma: float) -> Tensor:
     taps = torch.arange(-4.0, 5.0)
     kernel = torch.exp(-0.5 * (taps / sigma) ** 2)
     kernel = kernel / kernel.sum()

@@ -39,7 +39,7 @@ def calibrate(encoder: EmbeddedEncoder, photos: Sequence[Sample], renders: Seque
     (question,) = encoder.questions("fruit")
     assert isinstance(question, Question)  # no word was taught
     for samples in (photos, renders):
-        known = [each.among(each.known & (each.fruit | ~each.missed)) for each in samples]
+        known = [each.select(each.known & (each.fruit | ~each.missed)) for each in samples]
         if not known:
             continue
         m = np.concatenate([margin(each.features.float(), question).double().numpy() for each in known])
@@ -65,7 +65,7 @@ def _kind_temperature(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> fl
     """The temperature of the kinds' logits with the highest likelihood of the true kinds of fruit pixels."""
     logits, labels = [], []
     for each in samples:
-        mine = each.among(each.fruit)
+        mine = each.select(each.fruit)
         logits.append(2.0 * (mine.features.float() @ encoder.kinds().T).clamp_min(1e-6).log())
         labels.append(torch.from_numpy(mine.labels).long())
     z, k = torch.cat(logits), torch.cat(labels)

@@ -144,7 +144,7 @@ def write_card(path: Path, document: Mapping[str, Any]) -> str:
         picture=_PICTURE,
         pixel_temperature=document["pixel_calibration"]["temperature"],
         pixel_bias=document["pixel_calibration"]["bias"],
-        lifted=_lifted(document),
+        lifted=_describe_lifted(document),
         kind_temperature=document["calibration"]["kind_temperature"],
         number="one run" if len(document["runs"]) == 1 else f"{len(document['runs'])} runs",
         runs=_runs(document["runs"]),
@@ -183,7 +183,7 @@ def _runs(runs: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _lifted(document: Mapping[str, Any]) -> str:
+def _describe_lifted(document: Mapping[str, Any]) -> str:
     lifted, calibration = document["lifted"], document["calibration"]
     if lifted["scenes"] == 0:
         return "The weights use this calibration of pixels; none was made for lifted Gaussians.\n"

@@ -34,15 +34,15 @@ class Distinction:
     against: str
 
 
-def distinctions(
+def find_distinctions(
     answers: Mapping[str, FloatArray],
     truth: NDArray[np.str_],
     *,
     general: Mapping[str, Sequence[str]] | None = None,
     least: int = LEAST,
 ) -> dict[str, Distinction]:
-    """The most confused word of each word. answers: by word (M,) its probability for each pixel; truth: (M,) the word
-    of each pixel.
+    """Find the most confused word of each word. answers: by word (M,) its probability for each pixel; truth: (M,) the
+    word of each pixel.
 
     general: the words that a general one includes; they are not compared with it, and it is compared with no word.
     """
@@ -58,20 +58,20 @@ def distinctions(
     return found
 
 
-def colour_distinctions() -> dict[str, Distinction]:
-    """The same for colour words, on the 954 colours that 222,500 people named (Munroe 2010, public domain).
+def find_colour_distinctions() -> dict[str, Distinction]:
+    """Do the same for colour words, on the 954 colours that 222,500 people named (Munroe 2010, public domain).
 
     A colour counts for the basic word at the end of its name, as in "brick red"; "reddish brown" and similar ones are
     left out.
     """
     names = {name.removeprefix("xkcd:").replace("gray", "grey"): to_rgb(value) for name, value in XKCD_COLORS.items()}
-    called = {name: word for name in names if (word := _basic(name)) is not None}
+    called = {name: word for name in names if (word := _find_basic(name)) is not None}
     shares = colour_words(torch.tensor([names[name] for name in called])).double().numpy()
     truth = np.array(list(called.values()))
-    return distinctions({word: shares[:, i] for i, word in enumerate(COLOURS)}, truth, least=LEAST_COLOURS)
+    return find_distinctions({word: shares[:, i] for i, word in enumerate(COLOURS)}, truth, least=LEAST_COLOURS)
 
 
-def _basic(name: str) -> str | None:
+def _find_basic(name: str) -> str | None:
     *before, last = re.split(r"[\s/]+", name)
     return last if last in COLOURS and not any(map(_HALF_MEANT.search, before)) else None
 

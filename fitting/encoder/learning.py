@@ -111,9 +111,9 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
     network.train()
     rng = np.random.default_rng([course.seed, 1, rank])
     drawn = np.random.default_rng([course.seed, 0, rank])
-    batches = ahead(lambda: make_batch(material, course.batch, drawn))
+    batches = make_ahead(lambda: make_batch(material, course.batch, drawn))
     optimiser = torch.optim.AdamW(network.parameters(), lr=course.rate, weight_decay=1e-3, fused=True)
-    average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_moving_average, use_buffers=True)
+    average = torch.optim.swa_utils.AveragedModel(network, avg_fn=_average, use_buffers=True)
     autocast = torch.autocast("cpu", torch.bfloat16) if course.bf16 else nullcontext()
     losses: list[float] = []
     start, step, done = time.monotonic(), 0, 0.0
@@ -132,7 +132,7 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
         loss.backward()
         step += 1
         now = step / course.steps if course.minutes is None else (time.monotonic() - start) / (60.0 * course.minutes)
-        done = _agreed(network, course.processes, now)
+        done = _share_gradient(network, course.processes, now)
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
         losses.append(float(loss.detach()))
@@ -145,7 +145,7 @@ def _learn(rank: int, shared: Network, material: Material, course: Course, taken
         taken.fill_(step)
 
 
-def _agreed(network: Network, processes: int, done: float) -> float:
+def _share_gradient(network: Network, processes: int, done: float) -> float:
     """Give every process the mean gradient; returns the progress of the first process, so that all end together."""
     if processes == 1:
         return done
@@ -166,8 +166,8 @@ def rate_share(done: float) -> float:
     return float(min(1.0, done / RISE + 0.01) * 0.5 * (1 + np.cos(np.pi * done)))
 
 
-def ahead(make: Callable[[], Batch]) -> Iterator[Batch]:
-    """An endless sequence of batches, each made while the network trains on the one before."""
+def make_ahead(make: Callable[[], Batch]) -> Iterator[Batch]:
+    """Yield an endless sequence of batches, each made while the network trains on the one before."""
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(make)
         while True:
@@ -176,8 +176,8 @@ def ahead(make: Callable[[], Batch]) -> Iterator[Batch]:
             yield ready
 
 
-def _moving_average(average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
-    """Exponential moving average over about AVERAGED_STEPS steps, over fewer at the start."""
+def _average(average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
+    """Compute the exponential moving average over about AVERAGED_STEPS steps, over fewer at the start."""
     if not current.is_floating_point():
         return current
     return current + (average - current) * min(1.0 - 1.0 / AVERAGED_STEPS, (1 + int(count)) / (10 + int(count)))

@@ -26,7 +26,7 @@ from ...engine.splatting.ply import read_ply, write_ply
 from ...engine.splatting.training.train import train
 from .calibration import Fit, logistic
 from .pictures import LEAST_WALK
-from .reliability import judged
+from .reliability import judge_probabilities
 
 FloatArray = NDArray[np.float64]
 
@@ -65,30 +65,30 @@ class LiftedMeasures:
     iou: float
 
 
-def finished_scenes(folder: Path) -> list[Path]:
-    """Every finished scene below `folder`."""
+def find_finished_scenes(folder: Path) -> list[Path]:
+    """Find every finished scene below `folder`."""
     return [path.parent for path in sorted(folder.glob("*/truth.json"))]
 
 
-def rendered_scenes(folder: Path) -> list[Path]:
-    """Every finished scene below `folder` with enough pictures to train Gaussians."""
-    return [scene for scene in finished_scenes(folder) if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
+def find_rendered_scenes(folder: Path) -> list[Path]:
+    """Find every finished scene below `folder` with enough pictures to train Gaussians."""
+    return [scene for scene in find_finished_scenes(folder) if len(list((scene / "images").glob("*"))) >= LEAST_WALK]
 
 
-def trained(kept: Path, scene: Scene, preset: Preset = "standard") -> Gaussians:
-    """The Gaussians of a rendered tree, trained once and kept in a file."""
+def train_once(kept: Path, scene: Scene, preset: Preset = "standard") -> Gaussians:
+    """Return the Gaussians of a rendered tree, trained once and kept in a file."""
     if not kept.is_file():
         write_ply(kept, train(scene, PRESETS[preset]).gaussians)
     return read_ply(kept)
 
 
-def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
-    """One of the `rendered_scenes` with lifted features."""
+def lift_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
+    """Return one of the `find_rendered_scenes` with lifted features."""
     scene = read_scene(folder, SceneConfig())
-    gaussians = trained(folder / KEPT, scene)
+    gaussians = train_once(folder / KEPT, scene)
     photos = encode_photos(scene, encoder, photo_scales(scene, encoder))
     features = lift_features(gaussians, scene.cameras, photos, encoder_id=encoder.identity)
-    fruit = true_fruit(folder, scene, gaussians)
+    fruit = measure_true_fruit(folder, scene, gaussians)
     weights = features.weights[:, 0]
     seen = weights >= MIN_WEIGHT
     (question,) = encoder.questions("fruit")
@@ -100,13 +100,13 @@ def lifted_scene(encoder: EmbeddedEncoder, folder: Path) -> LiftedScene:
     )
 
 
-def true_fruit(folder: Path, scene: Scene, gaussians: Gaussians) -> Tensor:
-    """(N,) share of the pixels of each Gaussian that are fruit in the true masks."""
-    truth = lift_features(gaussians, scene.cameras, _masks(folder, scene), encoder_id="truth").unit(0)
+def measure_true_fruit(folder: Path, scene: Scene, gaussians: Gaussians) -> Tensor:
+    """Measure the share (N,) of the pixels of each Gaussian that are fruit in the true masks."""
+    truth = lift_features(gaussians, scene.cameras, _read_masks(folder, scene), encoder_id="truth").unit(0)
     return truth[:, 0] / truth.sum(dim=1).clamp_min(1e-9)
 
 
-def _masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
+def _read_masks(folder: Path, scene: Scene) -> Iterator[Tensor]:
     for instances in read_instances(folder, scene):
         mask = torch.from_numpy(instances > 0).float()
         yield torch.stack([mask, 1.0 - mask], dim=-1)
@@ -127,8 +127,8 @@ def calibrate_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> Fit:
     return Fit(Calibration(sharpest, bias * temperature / sharpest, pixels.kind_temperature), FRUIT_SHARE)
 
 
-def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
-    """Each scene with the calibration of all others; None for fewer than two. All scenes are informative (see
+def measure_lifted(scenes: Sequence[LiftedScene], pixels: Calibration) -> LiftedMeasures | None:
+    """Measure each scene with the calibration of all others; None for fewer than two. All scenes are informative (see
     `LiftedScene`)."""
     if len(scenes) < 2:
         return None
@@ -137,7 +137,7 @@ def lifted_measures(scenes: Sequence[LiftedScene], pixels: Calibration) -> Lifte
         fit = calibrate_lifted([*scenes[:place], *scenes[place + 1 :]], pixels)
         calibration = fit.calibration
         guess = 1.0 / (1.0 + np.exp(calibration.bias - one.margins / calibration.temperature))
-        found = judged(guess, one.fruit, fit.prior, one.weights)
+        found = judge_probabilities(guess, one.fruit, fit.prior, one.weights)
         assert found is not None  # it is informative
         errors.append(found.calibration_error)
         overlaps.append(intersection_over_union([one], calibration))

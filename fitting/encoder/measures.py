@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.vocabulary import CONCEPTS, GENERAL
 from .calibration import Fit
-from .confusable import Distinction, colour_distinctions, distinctions
-from .photo_scores import PhotoScore, pasted_words, photo_scores
+from .confusable import Distinction, find_colour_distinctions, find_distinctions
+from .photo_scores import PhotoScore, score_pasted_words, score_photos
 from .pictures import Picture
-from .reliability import Judged, judged
-from .render_scores import Condition, RenderScore, conditions, render_scores
+from .reliability import Judged, judge_probabilities
+from .render_scores import Condition, RenderScore, score_conditions, score_renders
 from .samples import Sample, answers
 
 
@@ -57,13 +57,13 @@ class Half:
     render_samples: Sequence[Sample]
 
 
-def halves(unseen: Unseen) -> tuple[Half, Half]:
-    """Halves for calibration and for its evaluation: every other photo, every other scene."""
+def split_halves(unseen: Unseen) -> tuple[Half, Half]:
+    """Split into halves for calibration and for its evaluation: every other photo, every other scene."""
     scenes = sorted({each.source for each in unseen.renders})
-    return _half(unseen, set(scenes[::2]), 0), _half(unseen, set(scenes[1::2]), 1)
+    return _select_half(unseen, set(scenes[::2]), 0), _select_half(unseen, set(scenes[1::2]), 1)
 
 
-def _half(unseen: Unseen, scenes: set[str], first: int) -> Half:
+def _select_half(unseen: Unseen, scenes: set[str], first: int) -> Half:
     return Half(unseen.photo_samples[first::2], [each for each in unseen.render_samples if each.source in scenes])
 
 
@@ -71,30 +71,30 @@ def measure(encoder: EmbeddedEncoder, unseen: Unseen, tested: Half, fit: Fit) ->
     """fit: the calibration of single pixels, which `encoder` uses; tested: the pixels that its reliability is measured
     on."""
     reliable = {
-        "renders": _reliability(encoder, tested.render_samples, fit),
-        "photos": _reliability(encoder, tested.photo_samples, fit),
+        "renders": _measure_reliability(encoder, tested.render_samples, fit),
+        "photos": _measure_reliability(encoder, tested.photo_samples, fit),
     }
     return Measures(
-        photos=photo_scores(encoder, unseen.photo_samples),
-        pasted_word=pasted_words(encoder, unseen.photos),
-        renders=render_scores(encoder, unseen.render_samples),
-        words=_words(encoder, [*unseen.photo_samples, *unseen.render_samples, *unseen.plain_samples]),
-        colours=colour_distinctions(),
+        photos=score_photos(encoder, unseen.photo_samples),
+        pasted_word=score_pasted_words(encoder, unseen.photos),
+        renders=score_renders(encoder, unseen.render_samples),
+        words=_measure_words(encoder, [*unseen.photo_samples, *unseen.render_samples, *unseen.plain_samples]),
+        colours=find_colour_distinctions(),
         reliability={name: found for name, found in reliable.items() if found is not None},
-        conditions=conditions(encoder, unseen.renders, unseen.render_samples),
+        conditions=score_conditions(encoder, unseen.renders, unseen.render_samples),
     )
 
 
-def _reliability(encoder: EmbeddedEncoder, samples: Sequence[Sample], fit: Fit) -> Judged | None:
+def _measure_reliability(encoder: EmbeddedEncoder, samples: Sequence[Sample], fit: Fit) -> Judged | None:
     if not samples:
         return None
-    known = [each.among(each.known & (each.fruit | ~each.missed)) for each in samples]
+    known = [each.select(each.known & (each.fruit | ~each.missed)) for each in samples]
     guess = np.concatenate([answers(encoder, each, "fruit") for each in known])
-    return judged(guess, np.concatenate([each.fruit for each in known]), fit.prior)
+    return judge_probabilities(guess, np.concatenate([each.fruit for each in known]), fit.prior)
 
 
-def _words(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> dict[str, Distinction]:
-    known = [each.among(each.labels < len(CONCEPTS)) for each in samples]
+def _measure_words(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> dict[str, Distinction]:
+    known = [each.select(each.labels < len(CONCEPTS)) for each in samples]
     truth: NDArray[np.str_] = np.array(CONCEPTS)[np.concatenate([each.labels for each in known])]
     asked = {word: np.concatenate([answers(encoder, each, word) for each in known]) for word in (*CONCEPTS, *GENERAL)}
-    return distinctions(asked, truth, general=GENERAL)
+    return find_distinctions(asked, truth, general=GENERAL)

@@ -20,10 +20,10 @@ from ...engine.language.encoders.network import Network, normalise
 from ...engine.language.encoders.offsets import OffsetNetwork
 from ...engine.scene.camera import Camera
 from ...engine.scene.read import read_scene
-from .batches import USUAL, changed_light, window_around
-from .learning import ahead, rate_share
-from .lifted import finished_scenes
-from .pictures import POSITIVE_SHARE, Picture, inside
+from .batches import USUAL, change_light, choose_window_around
+from .learning import make_ahead, rate_share
+from .lifted import find_finished_scenes
+from .pictures import POSITIVE_SHARE, Picture, find_inside
 
 FloatArray = NDArray[np.float32]
 
@@ -53,20 +53,22 @@ class OffsetPicture:
     radii: FloatArray
 
 
-def offset_renders(renders: Path) -> Iterator[OffsetPicture]:
-    """Every view of the rendered scenes below a folder.
+def read_offset_renders(renders: Path) -> Iterator[OffsetPicture]:
+    """Yield every view of the rendered scenes below a folder.
 
     Raises:
         FormatError: a mask or a truth cannot be read.
     """
-    for folder in finished_scenes(renders):
+    for folder in find_finished_scenes(renders):
         scene = read_scene(folder, SceneConfig())
         truth = read_truth(folder / TRUTH, true_labels([read_origin(folder).species]))
         for photo, camera, ids in zip(scene.images, scene.cameras, read_instances(folder, scene), strict=True):
-            yield _rendered(photo.pixels(), camera, ids, truth)
+            yield _make_offset_picture(photo.pixels(), camera, ids, truth)
 
 
-def _rendered(pixels: NDArray[np.uint8], camera: Camera, ids: NDArray[np.uint16], truth: Truth) -> OffsetPicture:
+def _make_offset_picture(
+    pixels: NDArray[np.uint8], camera: Camera, ids: NDArray[np.uint16], truth: Truth
+) -> OffsetPicture:
     assert truth.ids is not None
     centers, depths = camera.project(truth.centers)
     radii = truth.diameters[:, None] / 2.0 / depths[:, None] * np.diag(camera.K)[:2]
@@ -77,8 +79,8 @@ def _rendered(pixels: NDArray[np.uint8], camera: Camera, ids: NDArray[np.uint16]
     return OffsetPicture(pixels, row >= 0, centers[row].astype(np.float32), radii[row].astype(np.float32))
 
 
-def offset_photos(photos: Sequence[Picture]) -> list[OffsetPicture]:
-    """Photos with boxes: the middle of each box that is about square, as if its fruit were whole."""
+def select_offset_photos(photos: Sequence[Picture]) -> list[OffsetPicture]:
+    """Select the photos with boxes: the middle of each box that is about square, as if its fruit were whole."""
     pictures = []
     for photo in photos:
         shape = photo.labels.shape
@@ -87,7 +89,7 @@ def offset_photos(photos: Sequence[Picture]) -> list[OffsetPicture]:
             width, height = box.right - box.left, box.bottom - box.top
             if min(width, height) <= 0.0 or max(width, height) > SQUARE * min(width, height):
                 continue
-            own = inside(box, POSITIVE_SHARE, shape)
+            own = find_inside(box, POSITIVE_SHARE, shape)
             fruit |= own
             centers[own] = (box.left + box.right) / 2.0, (box.top + box.bottom) / 2.0
             radii[own] = width / 2.0, height / 2.0
@@ -115,7 +117,9 @@ def learn_offsets(
     optimiser = torch.optim.AdamW(network.parameters(), lr=highest, weight_decay=DECAY)
     rng, losses = np.random.default_rng([seed, 1]), []
     drawn = np.random.default_rng([seed, 0])
-    for step, (images, fruit, wanted) in zip(range(steps), ahead(lambda: _batch(renders, photos, drawn)), strict=False):
+    for step, (images, fruit, wanted) in zip(
+        range(steps), make_ahead(lambda: _make_batch(renders, photos, drawn)), strict=False
+    ):
         optimiser.param_groups[0]["lr"] = highest * rate_share(step / steps)
         with torch.autocast("cpu", torch.bfloat16):
             with torch.no_grad():
@@ -136,10 +140,10 @@ def learn_offsets(
     return network.eval()
 
 
-def _batch(
+def _make_batch(
     renders: Sequence[OffsetPicture], photos: Sequence[OffsetPicture], rng: np.random.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Images (B, 3, CROP, CROP), where fruit is known (B, CROP, CROP) and offsets (B, 2, CROP, CROP)."""
+    """Make images (B, 3, CROP, CROP), where fruit is known (B, CROP, CROP) and offsets (B, 2, CROP, CROP)."""
     crops = []
     for _ in range(BATCH):
         real = len(photos) > 0 and rng.random() < PHOTOS
@@ -159,7 +163,7 @@ def _crop(
     top, left = int(rng.integers(0, height - side + 1)), int(rng.integers(0, width - side + 1))
     places = np.flatnonzero(picture.fruit)
     if len(places) and rng.random() < FOCUS:
-        top, left = window_around(places, picture.fruit.shape, (side, side), rng)
+        top, left = choose_window_around(places, picture.fruit.shape, (side, side), rng)
     resampling = Image.Resampling.BILINEAR if rng.random() < 0.5 else Image.Resampling.BICUBIC
     window = Image.fromarray(picture.pixels[top : top + side, left : left + side])
     pixels = np.asarray(window.resize((CROP, CROP), resampling))
@@ -170,5 +174,5 @@ def _crop(
     fruit = picture.fruit[rows, columns]
     if rng.random() < 0.5:
         pixels, fruit, wanted = pixels[:, ::-1], fruit[:, ::-1], wanted[:, ::-1] * np.array([-1.0, 1.0])
-    image = changed_light(torch.from_numpy(pixels.copy()).permute(2, 0, 1).float() / 255.0, rng)
+    image = change_light(torch.from_numpy(pixels.copy()).permute(2, 0, 1).float() / 255.0, rng)
     return image, torch.from_numpy(fruit.copy()), torch.from_numpy(wanted.astype(np.float32)).permute(2, 0, 1)

@@ -34,13 +34,13 @@ def cut_fruit(pictures: Sequence[Picture], *, smallest: int = 14) -> list[list[C
     """Fully visible fruit by concept: whole instances of renders, ellipses in the boxes of photos."""
     bank: list[list[Cutout]] = [[] for _ in FRUITS]
     for picture in pictures:
-        found = _from_boxes(picture, smallest) if picture.instances is None else _from_masks(picture, smallest)
+        found = _cut_from_boxes(picture, smallest) if picture.instances is None else _cut_from_masks(picture, smallest)
         for cutout in found:
             bank[cutout.concept].append(cutout)
     return bank
 
 
-def _from_boxes(picture: Picture, smallest: int) -> list[Cutout]:
+def _cut_from_boxes(picture: Picture, smallest: int) -> list[Cutout]:
     height, width = picture.labels.shape
     cutouts = []
     for box in picture.boxes:
@@ -59,9 +59,9 @@ def _from_boxes(picture: Picture, smallest: int) -> list[Cutout]:
     return cutouts
 
 
-def _from_masks(picture: Picture, smallest: int) -> list[Cutout]:
+def _cut_from_masks(picture: Picture, smallest: int) -> list[Cutout]:
     assert picture.instances is not None
-    found = _regions(picture, picture.instances, smallest, fullest=0.8 * np.pi / 4.0)
+    found = _cut_regions(picture, picture.instances, smallest, fullest=0.8 * np.pi / 4.0)
     return [cutout for cutout in found if cutout.concept < len(FRUITS)]
 
 
@@ -72,12 +72,12 @@ def cut_objects(pictures: Sequence[Picture], *, smallest: int = 14) -> list[Cuto
     return [
         cutout
         for picture in renders
-        for cutout in _regions(picture, ndimage.label(picture.labels == word)[0], smallest, fullest=0.3)
+        for cutout in _cut_regions(picture, ndimage.label(picture.labels == word)[0], smallest, fullest=0.3)
     ]
 
 
-def _regions(picture: Picture, ids: NDArray[np.integer], smallest: int, *, fullest: float) -> list[Cutout]:
-    """Every region (H, W) of one id above 0 that is not cut off, not small, and fills this share of its box."""
+def _cut_regions(picture: Picture, ids: NDArray[np.integer], smallest: int, *, fullest: float) -> list[Cutout]:
+    """Cut out every region (H, W) of one id above 0 that is not cut off, not small, and fills this share of its box."""
     height, width = picture.labels.shape
     cutouts = []
     for number, box in enumerate(ndimage.find_objects(ids.astype(np.int32)), start=1):
@@ -122,7 +122,7 @@ def paste(
     region = np.s_[top : top + shape[1], left : left + shape[0]]
     alpha = source[..., 3:] / 255.0
     if occlude and rng.random() < 0.35:
-        alpha = alpha * _uncovered(shape, rng)[..., None]
+        alpha = alpha * _make_cover(shape, rng)[..., None]
     gain = rng.uniform(0.75, 1.25)
     pixels[region] = (np.clip(source[..., :3] * gain, 0, 255) * alpha + pixels[region] * (1.0 - alpha)).astype(np.uint8)
     opaque = alpha[..., 0]
@@ -131,8 +131,8 @@ def paste(
     return Box(CONCEPTS[cutout.concept], left, top, left + shape[0], top + shape[1])
 
 
-def _uncovered(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
-    """(h, w) 0 behind a leaf-like ellipse at the rim, else 1."""
+def _make_cover(shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Make (h, w): 0 behind a leaf-like ellipse at the rim, else 1."""
     width, height = shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
     angle = rng.uniform(0, 2 * np.pi)

@@ -13,7 +13,7 @@ from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.vocabulary import FRUITS
 from .pasting import Cutout, cut_fruit, paste
 from .pictures import NOT_FRUIT, Picture
-from .samples import FloatArray, Sample, answers, at_pixels
+from .samples import FloatArray, Sample, answers, interpolate
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class PhotoScore:
     redness: Ranking
 
 
-def photo_scores(encoder: EmbeddedEncoder, photos: Sequence[Sample]) -> dict[str, PhotoScore]:
-    """By set of photos."""
+def score_photos(encoder: EmbeddedEncoder, photos: Sequence[Sample]) -> dict[str, PhotoScore]:
+    """Return scores by set of photos."""
     scores = {}
     for source in sorted({photo.source for photo in photos}):
         mine = [photo for photo in photos if photo.source == source]
@@ -51,20 +51,21 @@ def photo_scores(encoder: EmbeddedEncoder, photos: Sequence[Sample]) -> dict[str
         colours = np.concatenate([photo.colours for photo in mine])
         seen = known & (fruit | ~missed)
         scores[source] = PhotoScore(
-            ellipses=_ranking(fruit[known], guess[known]),
-            seen=_ranking(fruit[seen], guess[seen]),
-            boxes=_ranking(boxed, guess),
-            redness=_ranking(fruit[known], (colours[:, 0] - colours[:, 1])[known]),
+            ellipses=_rank(fruit[known], guess[known]),
+            seen=_rank(fruit[seen], guess[seen]),
+            boxes=_rank(boxed, guess),
+            redness=_rank(fruit[known], (colours[:, 0] - colours[:, 1])[known]),
         )
     return scores
 
 
-def _ranking(truth: NDArray[np.bool_], guess: FloatArray) -> Ranking:
+def _rank(truth: NDArray[np.bool_], guess: FloatArray) -> Ranking:
     return Ranking(float(roc_auc_score(truth, guess)), float(average_precision_score(truth, guess)))
 
 
-def pasted_words(encoder: EmbeddedEncoder, photos: Sequence[Picture], *, each: int = 40) -> dict[str, float]:
-    """Share of pasted fruit pixels whose most probable fruit word is correct, fruit of one set in photos of the others.
+def score_pasted_words(encoder: EmbeddedEncoder, photos: Sequence[Picture], *, each: int = 40) -> dict[str, float]:
+    """Measure the share of pasted fruit pixels whose most probable fruit word is correct, fruit of one set in photos of
+    the others.
 
     each: photos per set, with six pasted fruit each; with ten photos the share varies by .2 from run to run.
     """
@@ -78,19 +79,21 @@ def pasted_words(encoder: EmbeddedEncoder, photos: Sequence[Picture], *, each: i
         right = total = 0
         for _ in range(each):
             host = hosts[rng.integers(len(hosts))]
-            hit, count = _pasted_hits(encoder, host, [cutouts[i] for i in rng.integers(len(cutouts), size=6)], rng)
+            hit, count = _count_pasted_hits(
+                encoder, host, [cutouts[i] for i in rng.integers(len(cutouts), size=6)], rng
+            )
             right, total = right + hit, total + count
         shares[FRUITS[concept]] = right / max(total, 1)
     return shares
 
 
-def _pasted_hits(
+def _count_pasted_hits(
     encoder: EmbeddedEncoder, host: Picture, cutouts: Sequence[Cutout], rng: np.random.Generator
 ) -> tuple[int, int]:
     pixels, labels = host.pixels.copy(), np.full(host.labels.shape, NOT_FRUIT, np.uint8)
     for cutout in cutouts:
         paste(pixels, labels, cutout, max(cutout.labels.shape), rng, occlude=False)
     concept = cutouts[0].concept
-    words = at_pixels(encoder.encode_dense(pixels)[..., : len(FRUITS)], labels.shape).argmax(-1).numpy()
+    words = interpolate(encoder.encode_dense(pixels)[..., : len(FRUITS)], labels.shape).argmax(-1).numpy()
     pasted = labels == concept
     return int((words[pasted] == concept).sum()), int(pasted.sum())

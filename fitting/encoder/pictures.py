@@ -109,14 +109,14 @@ def box_labels(boxes: Sequence[Box], shape: tuple[int, ...]) -> Labels:
     """(H, W): fruit in the central ellipses, unknown around them, no fruit outside."""
     labels = np.full(shape, NOT_FRUIT, np.uint8)
     for box in boxes:
-        labels[inside(box, NEGATIVE_SHARE, shape, ellipse=False)] = IGNORED
+        labels[find_inside(box, NEGATIVE_SHARE, shape, ellipse=False)] = IGNORED
     for box in boxes:
-        labels[inside(box, POSITIVE_SHARE, shape)] = CONCEPTS.index(box.label)
+        labels[find_inside(box, POSITIVE_SHARE, shape)] = CONCEPTS.index(box.label)
     return labels
 
 
-def inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = True) -> NDArray[np.bool_]:
-    """(H, W) True in the box, or in its ellipse, scaled about its centre by `share`."""
+def find_inside(box: Box, share: float, shape: tuple[int, ...], *, ellipse: bool = True) -> NDArray[np.bool_]:
+    """Return (H, W): True in the box, or in its ellipse, scaled about its centre by `share`."""
     y, x = np.ogrid[: shape[0], : shape[1]]
     u = (x + 0.5 - (box.left + box.right) / 2.0) / (share * (box.right - box.left) / 2.0)
     v = (y + 0.5 - (box.top + box.bottom) / 2.0) / (share * (box.bottom - box.top) / 2.0)
@@ -136,7 +136,7 @@ def read_renders(folder: Path) -> list[Picture]:
         images = sorted((scene / "images").glob("*"))
         if len(images) >= LEAST_WALK:
             continue
-        lookup, record = _lookup(table), _record(scene)
+        lookup, record = _make_lookup(table), _record(scene)
         for image in images:
             classes = scene / "classes" / f"{image.stem}.png"
             instances = scene / "instances" / f"{image.stem}.png"
@@ -157,7 +157,7 @@ def read_renders(folder: Path) -> list[Picture]:
     return pictures
 
 
-def _lookup(table: Path) -> Labels:
+def _make_lookup(table: Path) -> Labels:
     lookup = np.full(256, IGNORED, np.uint8)
     try:
         for index, word in json.loads(table.read_text(encoding="utf-8")).items():
@@ -204,8 +204,9 @@ def training_seeds(scenes: Iterable[Path]) -> list[int]:
     return sorted({_record(scene)["seed"] for scene in scenes})
 
 
-def plain_picture(rng: np.random.Generator, size: int) -> Picture:
-    """A wall, cloth or table top: plain or shaded, with grain, stripes or bumps, labelled background."""
+def make_plain_picture(rng: np.random.Generator, size: int) -> Picture:
+    """Make a picture of a wall, cloth or table top: plain or shaded, with grain, stripes or bumps, labelled
+    background."""
     y, x = np.mgrid[:size, :size].astype(np.float32) / size
     base = rng.uniform(0.1, 1.0) * (1.0 - rng.uniform(0.0, 0.5) * rng.random(3) ** 2)
     shade = 1.0 + rng.uniform(-0.35, 0.35) * (x - 0.5) + rng.uniform(-0.35, 0.35) * (y - 0.5)
@@ -223,10 +224,10 @@ def plain_picture(rng: np.random.Generator, size: int) -> Picture:
     return Picture((pixels * 255.0).astype(np.uint8), labels, "plain")
 
 
-def plain_pictures() -> list[Picture]:
-    """Plain pictures for measurement, each with an object that is not fruit."""
+def make_plain_pictures() -> list[Picture]:
+    """Make plain pictures for measurement, each with an object that is not fruit."""
     rng = np.random.default_rng(23)
-    pictures = [plain_picture(rng, 256) for _ in range(24)]
+    pictures = [make_plain_picture(rng, 256) for _ in range(24)]
     for picture in pictures:
         put_object(picture.pixels, picture.labels, rng)
     return pictures

@@ -27,11 +27,11 @@ class Judged:
     observed: tuple[float, ...]
 
 
-def judged(
+def judge_probabilities(
     probability: FloatArray, truth: NDArray[np.bool_], prior: float, weights: FloatArray | None = None
 ) -> Judged | None:
-    """The errors of (M,) probabilities that were calibrated for a share `prior` of true ones; None if one class is
-    missing.
+    """Measure the errors of (M,) probabilities that were calibrated for a share `prior` of true ones; None if one class
+    is missing.
 
     weights: (M,) weight of each; equal without them. Most pixels are sky, grass and leaf, which are easily recognised;
     unweighted, they would make any predictor look calibrated. So both classes weigh one half, and the probabilities are

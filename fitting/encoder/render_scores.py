@@ -12,7 +12,7 @@ from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.vocabulary import CONCEPTS, FRUITS
 from .pasting import Cutout, cut_fruit, paste
 from .pictures import Picture
-from .samples import Sample, answers_in_scene, by_scene, sample
+from .samples import Sample, answers_in_scene, join_by_scene, sample
 
 BLUR = 1.5
 """Standard deviation in pixels of the blur that the condition "blurred" adds."""
@@ -60,9 +60,9 @@ class _Tally:
         return RenderScore(self.iou, self.both / max(self.asked, 1), self.both / max(self.there, 1))
 
 
-def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[str, RenderScore]:
+def score_renders(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[str, RenderScore]:
     """Each word is applied to every scene, also to those with another fruit, with the scene's shares of kinds."""
-    scenes = by_scene(renders)
+    scenes = join_by_scene(renders)
     scores = {}
     for word in ("fruit", *FRUITS):
         tally = _Tally()
@@ -73,10 +73,10 @@ def render_scores(encoder: EmbeddedEncoder, renders: Sequence[Sample]) -> dict[s
     return scores
 
 
-def conditions(
+def score_conditions(
     encoder: EmbeddedEncoder, pictures: Sequence[Picture], samples: Sequence[Sample]
 ) -> dict[str, Condition]:
-    """By condition: traits of scenes, a blur, and fruit of other kinds pasted into each picture.
+    """Return scores by condition: traits of scenes, a blur, and fruit of other kinds pasted into each picture.
 
     samples: of `pictures`, one by one.
     """
@@ -86,25 +86,25 @@ def conditions(
     if pictures:
         rng = np.random.default_rng(11)
         bank = cut_fruit(pictures)
-        chosen["blurred"] = sample(encoder, [_blurred(picture) for picture in pictures])
-        chosen["mixed species"] = sample(encoder, [_mixed(picture, bank, rng) for picture in pictures])
-    return {name: _condition(encoder, mine) for name, mine in chosen.items()}
+        chosen["blurred"] = sample(encoder, [_blur(picture) for picture in pictures])
+        chosen["mixed species"] = sample(encoder, [_mix(picture, bank, rng) for picture in pictures])
+    return {name: _score_condition(encoder, mine) for name, mine in chosen.items()}
 
 
-def _condition(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> Condition:
+def _score_condition(encoder: EmbeddedEncoder, samples: Sequence[Sample]) -> Condition:
     fruit, kinds = _Tally(), _Tally()
-    for scene in by_scene(samples):
+    for scene in join_by_scene(samples):
         fruit.add(encoder, scene, "fruit")
         for concept in np.unique(scene.labels[scene.fruit]):
             kinds.add(encoder, scene, FRUITS[concept])
     return Condition(len(samples), fruit.iou, kinds.iou)
 
 
-def _blurred(picture: Picture) -> Picture:
+def _blur(picture: Picture) -> Picture:
     return replace(picture, pixels=np.asarray(Image.fromarray(picture.pixels).filter(ImageFilter.GaussianBlur(BLUR))))
 
 
-def _mixed(picture: Picture, bank: Sequence[Sequence[Cutout]], rng: np.random.Generator) -> Picture:
+def _mix(picture: Picture, bank: Sequence[Sequence[Cutout]], rng: np.random.Generator) -> Picture:
     own = set(np.unique(picture.labels).tolist())
     kinds = [cutouts for concept, cutouts in enumerate(bank) if cutouts and concept not in own]
     pixels, labels = picture.pixels.copy(), picture.labels.copy()

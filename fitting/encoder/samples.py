@@ -14,7 +14,7 @@ from torch.nn import functional
 from ...engine.language.encoders.embedded import EmbeddedEncoder
 from ...engine.language.prompts.relevancy import answer, scene_answers, understand
 from ...engine.language.vocabulary import CONCEPTS, FRUITS
-from .pictures import NOT_FRUIT, Labels, Picture, inside
+from .pictures import NOT_FRUIT, Labels, Picture, find_inside
 
 FloatArray = NDArray[np.float64]
 
@@ -45,8 +45,8 @@ class Sample:
         """(M,) certainly fruit or certainly not."""
         return (self.labels < len(CONCEPTS)) | (self.labels == NOT_FRUIT)
 
-    def among(self, chosen: NDArray[np.bool_]) -> Sample:
-        """Some of these pixels."""
+    def select(self, chosen: NDArray[np.bool_]) -> Sample:
+        """Select some of these pixels."""
         return Sample(
             self.features[torch.from_numpy(chosen)],
             self.labels[chosen],
@@ -59,19 +59,19 @@ class Sample:
 
 def sample(encoder: EmbeddedEncoder, pictures: Sequence[Picture]) -> list[Sample]:
     """Encode each picture once; everything but the pasted words is measured on these pixels."""
-    return [_sampled(encoder, picture) for picture in pictures]
+    return [_sample_picture(encoder, picture) for picture in pictures]
 
 
-def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
+def _sample_picture(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
     shape = picture.labels.shape
     boxed, missed = np.zeros(shape, bool), np.zeros(shape, bool)
     for box in picture.boxes:
-        boxed |= inside(box, 1.0, shape, ellipse=False)
+        boxed |= find_inside(box, 1.0, shape, ellipse=False)
     for box in picture.unboxed:
-        missed |= inside(box, 1.0, shape, ellipse=False)
+        missed |= find_inside(box, 1.0, shape, ellipse=False)
     every = np.s_[::STEP, ::STEP]
     return Sample(
-        at_pixels(encoder.encode_dense(picture.pixels), shape, STEP).flatten(0, 1).half(),
+        interpolate(encoder.encode_dense(picture.pixels), shape, STEP).flatten(0, 1).half(),
         picture.labels[every].ravel(),
         picture.pixels[every].reshape(-1, 3) / 255.0,
         boxed[every].ravel(),
@@ -80,9 +80,9 @@ def _sampled(encoder: EmbeddedEncoder, picture: Picture) -> Sample:
     )
 
 
-def at_pixels(outputs: Tensor, shape: Sequence[int], step: int = 1) -> Tensor:
-    """The outputs (h, w, D) of the encoder for a photo of this height and width, interpolated at every `step`-th row
-    and column of the photo."""
+def interpolate(outputs: Tensor, shape: Sequence[int], step: int = 1) -> Tensor:
+    """Return the outputs (h, w, D) of the encoder for a photo of this height and width, interpolated at every `step`-th
+    row and column of the photo."""
     rows, columns = ((torch.arange(0, length, step) + 0.5) * 2.0 / length - 1.0 for length in shape)
     places = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)
     image = outputs.permute(2, 0, 1)[None]
@@ -101,8 +101,8 @@ def answers_in_scene(encoder: EmbeddedEncoder, scene: Sample, word: str) -> Floa
     return scene_answers(scene.features.float(), weights, understand(encoder, [word]))[0].double().numpy()
 
 
-def by_scene(samples: Sequence[Sample]) -> list[Sample]:
-    """The pixels of each scene joined."""
+def join_by_scene(samples: Sequence[Sample]) -> list[Sample]:
+    """Join the pixels of each scene."""
     scenes = []
     for source in sorted({each.source for each in samples}):
         mine = [each for each in samples if each.source == source]

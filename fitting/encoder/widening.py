@@ -9,9 +9,9 @@ from ...engine.language.encoders.network import Network
 from ...engine.language.vocabulary import CONCEPTS
 
 
-def widened(stored: StoredWeights, network: Network) -> dict[str, Tensor]:
-    """The state of `network` that gives the same output as `stored` for the words that both know; new words start at
-    random.
+def widen(stored: StoredWeights, network: Network) -> dict[str, Tensor]:
+    """Return the state of `network` that gives the same output as `stored` for the words that both know; new words
+    start at random.
 
     Old channels get no input from new ones, which start at random, and new layers with a skip start as the identity
     (Chen, Goodfellow and Shlens 2016, "Net2Net", use copies instead).

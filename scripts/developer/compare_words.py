@@ -41,7 +41,7 @@ from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.storage.files import require_writable, write_text
 from fruitlangs.fitting.encoder.pictures import read_photos
-from fruitlangs.fitting.taught_photos import TaughtScore, taught_scores
+from fruitlangs.fitting.taught_photos import TaughtScore, score_taught
 
 tyro = import_tyro()
 
@@ -69,7 +69,7 @@ def main(options: Options) -> None:
         raise ConfigError("Nothing is given to teach in. Name scenes, or --photos")
     if options.photos is not None:
         sets = (read_photos(options.photos, split) for split in ("train", "val"))
-        print(photos_table(taught_scores(EmbeddedEncoder.open(), *sets)))
+        print(photos_table(score_taught(EmbeddedEncoder.open(), *sets)))
     if options.scenes:
         teach_scenes(options, lessons)
 

@@ -34,7 +34,14 @@ from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.counting.evidence.gate import STORED, WEIGHED, Gate, stack_features
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.storage.files import write_text
-from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, rendered_cases, searched, surface_cases
+from fruitlangs.fitting.counting.cases import (
+    Case,
+    check_seed,
+    iterate_rendered_cases,
+    iterate_surface_cases,
+    search_case,
+    simulate_cases,
+)
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 
 tyro = import_tyro()
@@ -75,8 +82,10 @@ class Example:
 
 def main(options: Options) -> None:
     check_seed(options.first)
-    crowns = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
-    rendered = (rendered_cases(options.renders), surface_cases(options.renders)) if options.renders else ()
+    crowns = simulate_cases(SETTINGS, range(options.first, options.first + options.crowns))
+    rendered = (
+        (iterate_rendered_cases(options.renders), iterate_surface_cases(options.renders)) if options.renders else ()
+    )
     cases = itertools.chain(crowns, *rendered)
     examples = [found for case in cases for found in make_example(case)]
     print(table(examples))
@@ -86,7 +95,7 @@ def main(options: Options) -> None:
 
 def make_example(case: Case) -> Iterator[Example]:
     """Return the candidates of a scene; none if no part of it is round."""
-    result = searched(case)
+    result = search_case(case)
     if result is None:
         return
     found, _ = result

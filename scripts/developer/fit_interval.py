@@ -46,11 +46,18 @@ from fruitlangs.engine.counting.evidence.cluster import LIKELY
 from fruitlangs.engine.errors import ConfigError
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.storage.files import write_text
-from fruitlangs.fitting.counting.cases import Case, check_seed, crown_cases, halved_cases, rendered_cases, searched
+from fruitlangs.fitting.counting.cases import (
+    Case,
+    check_seed,
+    iterate_halved_cases,
+    iterate_rendered_cases,
+    search_case,
+    simulate_cases,
+)
 from fruitlangs.fitting.counting.examples import (
     STORED_EXAMPLES,
     Example,
-    merged_examples,
+    merge_examples,
     read_examples,
     write_examples,
 )
@@ -101,7 +108,7 @@ def main(options: Options) -> None:
     fitted = {part: fit_part(examples, photos) for part, photos in ((ALONE, False), (WITH_PHOTOS, True))}
     if options.stored:
         return
-    write_examples(merged_examples(earlier, examples), options.examples)
+    write_examples(merge_examples(earlier, examples), options.examples)
     document = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
     document.update({part: each for part, each in fitted.items() if each})
     write_text(options.out, json.dumps(document, indent=1) + "\n")
@@ -127,9 +134,11 @@ def fit_part(examples: Sequence[Example], photos: bool) -> dict[str, Any]:
 
 def search_examples(options: Options) -> list[Example]:
     """Search simulated crowns and rendered trees for fruit."""
-    named = crown_cases(SETTINGS, range(options.first, options.first + options.crowns))
+    named = simulate_cases(SETTINGS, range(options.first, options.first + options.crowns))
     drawn = sample_cases(options.first + 1000, options.drawn)
-    rendered = (rendered_cases(options.renders), halved_cases(options.renders)) if options.renders else ()
+    rendered = (
+        (iterate_rendered_cases(options.renders), iterate_halved_cases(options.renders)) if options.renders else ()
+    )
     cases = itertools.chain(named, drawn, *rendered)
     return [found for case in cases for found in make_example(case)]
 
@@ -137,12 +146,12 @@ def search_examples(options: Options) -> list[Example]:
 def sample_cases(first: int, number: int) -> itertools.chain[Case]:
     """Generate one crown for each of this many random settings."""
     seeds = range(first, first + number)
-    return itertools.chain.from_iterable(crown_cases({"drawn": sample_setting(seed)}, [seed]) for seed in seeds)
+    return itertools.chain.from_iterable(simulate_cases({"drawn": sample_setting(seed)}, [seed]) for seed in seeds)
 
 
 def make_example(case: Case) -> list[Example]:
     """Return the evidence of a scene; none if no part of it is round."""
-    result = searched(case)
+    result = search_case(case)
     if result is None:
         return []
     found, pictures = result

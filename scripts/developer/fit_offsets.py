@@ -21,8 +21,8 @@ from _terminal import import_tyro, run, say
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.language.encoders.offsets import STORED, read_offsets, save_offsets
 from fruitlangs.engine.storage.files import read_tensors
-from fruitlangs.fitting.encoder.lifted import finished_scenes
-from fruitlangs.fitting.encoder.offset_learning import learn_offsets, offset_photos, offset_renders
+from fruitlangs.fitting.encoder.lifted import find_finished_scenes
+from fruitlangs.fitting.encoder.offset_learning import learn_offsets, read_offset_renders, select_offset_photos
 from fruitlangs.fitting.encoder.pictures import read_photos, training_seeds
 
 tyro = import_tyro()
@@ -47,9 +47,12 @@ class Options:
 
 
 def main(options: Options) -> None:
-    scenes = finished_scenes(options.renders)
+    scenes = find_finished_scenes(options.renders)
     seeds = training_seeds(scenes)
-    renders, photos = list(offset_renders(options.renders)), offset_photos(read_photos(options.photos, "train"))
+    renders, photos = (
+        list(read_offset_renders(options.renders)),
+        select_offset_photos(read_photos(options.photos, "train")),
+    )
     say(f"{len(renders)} views of {len(scenes)} scenes, {len(photos)} photos")
     encoder = EmbeddedEncoder.open()
     start = None

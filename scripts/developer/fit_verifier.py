@@ -32,12 +32,12 @@ from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.fitting.counting.verifying import (
     Samples,
     Tree,
-    around_truth,
     calibrate,
     fit,
-    mined,
-    prepared,
-    radius_errors,
+    measure_radius_errors,
+    mine_samples,
+    prepare_trees,
+    sample_around_truth,
 )
 
 tyro = import_tyro()
@@ -69,16 +69,16 @@ class Options:
 
 
 def main(options: Options) -> None:
-    rng, trees = np.random.default_rng(options.seed), list(prepared(options.renders))
+    rng, trees = np.random.default_rng(options.seed), list(prepare_trees(options.renders))
     checked = [tree for tree in trees if tree.name in options.check]
     learnt = [tree for tree in trees if tree not in checked]
     stored = None if options.add is None else read_networks(options.add)
     earlier, notes = (Networks([]), ()) if stored is None else (stored.networks, stored.notes)
-    samples = [around_truth(tree, rng) for tree in learnt for _ in range(COPIES)]
+    samples = [sample_around_truth(tree, rng) for tree in learnt for _ in range(COPIES)]
     network: Network | Networks = earlier
     for number in range(options.rounds + 1):
         if number or notes:
-            samples += [mined(tree, network, rng) for tree in learnt]
+            samples += [mine_samples(tree, network, rng) for tree in learnt]
         together = Samples.join(samples)
         say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
         epochs = options.epochs * (2 if number == options.rounds else 1)
@@ -102,7 +102,7 @@ def table(trees: list[Tree], network: Network | Networks) -> str:
         on_surfaces = Places.alike(tree.surroundings.fruit, tree.diameter)
         chosen = [on_surfaces, *(found.places.select(found.log_odds > odds) for odds in ODDS)]
         likely = found.places.select(found.log_odds > 0.0)
-        errors = radius_errors(tree, likely, judge(likely.centers, 2.0 * likely.radii, tree.truth))
+        errors = measure_radius_errors(tree, likely, judge(likely.centers, 2.0 * likely.radii, tree.truth))
         rows.append([*(f1(tree, places) for places in chosen), errors.mean(), errors.std()])
         lines.append([tree.name, *(f"{value:.3f}" for value in rows[-1])])
     return markdown([*lines, ["mean", *(f"{value:.3f}" for value in np.mean(rows, axis=0))]])

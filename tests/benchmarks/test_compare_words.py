@@ -27,7 +27,7 @@ from fruitlangs.benchmarks.teaching import (
 from fruitlangs.engine.errors import ConfigError, FormatError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.fitting.encoder.pictures import Box, Picture, box_labels
-from fruitlangs.fitting.taught_photos import TaughtScore, taught_scores
+from fruitlangs.fitting.taught_photos import TaughtScore, score_taught
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_a_word_is_taught_and_measured_in_photos_larger_than_what_is_seen():
             pixels = np.where(away[..., None] < 1.0, np.array([205.0, 45.0, 40.0]) * light[..., None], pixels)
         labels = box_labels(boxes, (height, width))
         pictures.append(Picture(np.clip(pixels, 0, 255).astype(np.uint8), labels, "apple", boxes))
-    score = taught_scores(EmbeddedEncoder.open(), pictures[:1], pictures[1:])["apple"]
+    score = score_taught(EmbeddedEncoder.open(), pictures[:1], pictures[1:])["apple"]
     assert (score.photos, score.boxes) == (1, 2)
     assert score.taught > 0.95
 

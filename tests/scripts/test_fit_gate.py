@@ -19,7 +19,7 @@ from fruitlangs.engine.counting.evidence.pixel_width import focal_length
 from fruitlangs.engine.errors import FormatError
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
 from fruitlangs.engine.scene.read import read_scene
-from fruitlangs.fitting.counting.cases import Case, encoded, rendered_cases, surface_cases
+from fruitlangs.fitting.counting.cases import Case, encode, iterate_rendered_cases, iterate_surface_cases
 from fruitlangs.fitting.encoder.pictures import LEAST_WALK
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,7 +82,7 @@ def test_candidates_of_a_crown_are_fruit_and_others(tmp_path: Path):
 def test_true_surfaces_of_a_rendered_tree_are_fitted_to_as_well_as_trained_ones(tmp_path: Path):
     ball_scene.write_scene(tmp_path / "1003", views=LEAST_WALK, seed=1003)
     ball_scene.write_scene(tmp_path / "1004", views=LEAST_WALK - 1, seed=1004)
-    (case,) = surface_cases(tmp_path)
+    (case,) = iterate_surface_cases(tmp_path)
     assert (case.kind, case.family, len(case.cameras)) == ("walk, true surfaces", "walk 1003", LEAST_WALK)
     (example,) = fit_gate.make_example(case)
     assert (example.fruit.sum(), example.visible) == (len(ball_scene.BALLS), len(ball_scene.BALLS))
@@ -94,13 +94,13 @@ def test_trees_are_encoded_at_the_scales_of_a_run(tmp_path: Path, monkeypatch: p
     focal = focal_length(scene.cameras[0])
     for width, share in ((44.0, 0.5), (14.0, 1.0)):
         monkeypatch.setattr("fruitlangs.engine.photo_size.fruit_angle", lambda *_, w=width: w / focal)
-        _, maps = encoded(gaussians, scene, "apple", EmbeddedEncoder.open())
+        _, maps = encode(gaussians, scene, "apple", EmbeddedEncoder.open())
         assert maps is not None
         sizes = {each.probability.shape for each in maps}
         assert sizes == {(round(camera.height * share), round(camera.width * share)) for camera in scene.cameras}
 
 
-@pytest.mark.parametrize("cases", [rendered_cases, surface_cases])
+@pytest.mark.parametrize("cases", [iterate_rendered_cases, iterate_surface_cases])
 def test_rendered_trees_of_seeds_for_tests_are_refused_before_anything_is_trained(
     tmp_path: Path, cases: Callable[[Path], Iterator[Case]]
 ):

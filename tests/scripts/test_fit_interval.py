@@ -16,8 +16,8 @@ from fruitlangs.benchmarks.counting.simulated import SETTINGS, Setting, sample_s
 from fruitlangs.engine.counting.accounts.interval import COVARIATES, TRAINED, Evidence
 from fruitlangs.engine.errors import ConfigError, FormatError
 from fruitlangs.engine.evaluation.truth import read_truth
-from fruitlangs.fitting.counting.cases import Case, shown_in
-from fruitlangs.fitting.counting.examples import Example, merged_examples, read_examples, write_examples
+from fruitlangs.fitting.counting.cases import Case, find_shown
+from fruitlangs.fitting.counting.examples import Example, merge_examples, read_examples, write_examples
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -100,7 +100,7 @@ def test_examples_are_read_as_they_were_written_and_later_ones_replace_earlier_o
     path = tmp_path / "examples.csv"
     first, other = scene(1003, faint=0.05), scene(1004)
     again = replace(first, visible=7, evidence=replace(first.evidence, photos=True, dissent=0.25))
-    write_examples(merged_examples([first, other], [again]), path)
+    write_examples(merge_examples([first, other], [again]), path)
     read = read_examples(path)
     assert [(each.kind, each.family, each.visible) for each in read] == [
         ("drawn", "crown 1003", 7), ("drawn", "crown 1004", other.visible),
@@ -188,5 +188,5 @@ def test_a_fruit_is_visible_in_half_of_the_photos_if_three_of_these_show_enough(
     path = tmp_path / "truth.json"
     path.write_text(json.dumps({"fruits": fruits}))
     truth = read_truth(path)
-    assert shown_in(path, truth, photos).tolist() == [True, True, False]
-    assert shown_in(path, truth, photos[::2]).tolist() == [True, False, False]
+    assert find_shown(path, truth, photos).tolist() == [True, True, False]
+    assert find_shown(path, truth, photos[::2]).tolist() == [True, False, False]

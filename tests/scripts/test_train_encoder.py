@@ -19,19 +19,19 @@ from fruitlangs.engine.language.encoders.network import DEPTHS, WIDTHS, Network
 from fruitlangs.engine.language.vocabulary import COLOURS, CONCEPTS, FRUITS
 from fruitlangs.fitting import train_encoder
 from fruitlangs.fitting.encoder.batches import CROP, Material, _crop, make_batch
-from fruitlangs.fitting.encoder.confusable import colour_distinctions, distinctions
+from fruitlangs.fitting.encoder.confusable import find_colour_distinctions, find_distinctions
 from fruitlangs.fitting.encoder.learning import Course, learn
 from fruitlangs.fitting.encoder.lifted import (
     SHARPEST,
     LiftedScene,
     calibrate_lifted,
+    find_rendered_scenes,
     intersection_over_union,
-    lifted_measures,
-    rendered_scenes,
+    measure_lifted,
 )
 from fruitlangs.fitting.encoder.losses import concept_loss, overlap_loss
 from fruitlangs.fitting.encoder.pasting import cut_fruit, cut_objects, paste
-from fruitlangs.fitting.encoder.photo_scores import pasted_words, photo_scores
+from fruitlangs.fitting.encoder.photo_scores import score_pasted_words, score_photos
 from fruitlangs.fitting.encoder.pictures import (
     IGNORED,
     LEAST_WALK,
@@ -44,8 +44,8 @@ from fruitlangs.fitting.encoder.pictures import (
     read_renders,
     training_seeds,
 )
-from fruitlangs.fitting.encoder.reliability import judged
-from fruitlangs.fitting.encoder.samples import Sample, at_pixels, sample
+from fruitlangs.fitting.encoder.reliability import judge_probabilities
+from fruitlangs.fitting.encoder.samples import Sample, interpolate, sample
 from fruitlangs.orchard.config import FIRST_TRAINING_SEED
 from fruitlangs.orchard.training_scenes import is_held_out, training_config
 
@@ -135,14 +135,14 @@ def test_a_rendered_tree_is_calibrated_on_and_not_trained_on_and_its_seed_is_che
     for number in range(LEAST_WALK):
         (walk / "images" / f"{number:03}.jpg").touch()
     (walk / "classes.json").write_text("{}")
-    assert rendered_scenes(walk.parent) == []  # not finished
+    assert find_rendered_scenes(walk.parent) == []  # not finished
     (walk / "truth.json").touch()
-    assert rendered_scenes(walk.parent) == [walk]
+    assert find_rendered_scenes(walk.parent) == [walk]
     with pytest.raises(FormatError, match="has no scene"):
         read_renders(walk.parent)
     (walk / "orchard.json").write_text(json.dumps({"config": {"seed": 2}}))
     with pytest.raises(FormatError, match="has seed 2"):
-        training_seeds(rendered_scenes(walk.parent))
+        training_seeds(find_rendered_scenes(walk.parent))
 
 
 def test_held_out_scenes_are_no_training_scenes(renders: Path):
@@ -280,12 +280,12 @@ def test_rendered_trees_are_judged_by_the_calibration_of_the_others():
     fruit = rng.random(4000) < 0.2
     near = LiftedScene(np.where(fruit, 2.0, -2.0) + rng.normal(0.0, 1.0, 4000), fruit, np.ones(4000))
     far = LiftedScene(near.margins + 6.0, fruit, np.ones(4000))
-    alike, apart = lifted_measures([near, near], Calibration()), lifted_measures([near, far], Calibration())
+    alike, apart = measure_lifted([near, near], Calibration()), measure_lifted([near, far], Calibration())
     assert alike is not None
     assert apart is not None
     assert alike.calibration_error < 0.05 < 0.3 < apart.calibration_error
     assert alike.iou > 0.85 > 0.6 > apart.iou
-    assert lifted_measures([near], Calibration()) is None
+    assert measure_lifted([near], Calibration()) is None
 
 
 def test_true_probabilities_have_no_calibration_error_and_overconfident_ones_have():
@@ -293,9 +293,9 @@ def test_true_probabilities_have_no_calibration_error_and_overconfident_ones_hav
     probability = rng.beta(0.3, 2.0, 60_000)
     truth = rng.random(60_000) < probability
     prior = float(truth.mean())
-    honest = judged(probability, truth, prior)
-    sure = judged(probability**3 / (probability**3 + (1 - probability) ** 3), truth, prior)
-    constant = judged(np.full(60_000, prior), truth, prior)
+    honest = judge_probabilities(probability, truth, prior)
+    sure = judge_probabilities(probability**3 / (probability**3 + (1 - probability) ** 3), truth, prior)
+    constant = judge_probabilities(np.full(60_000, prior), truth, prior)
     assert honest is not None
     assert sure is not None
     assert constant is not None
@@ -303,13 +303,13 @@ def test_true_probabilities_have_no_calibration_error_and_overconfident_ones_hav
     assert constant.calibration_error < 0.02
     assert honest.brier < 0.2 < constant.brier == pytest.approx(constant.constant_brier)
     assert len(honest.predicted) == len(honest.observed) == BINS
-    assert judged(probability, np.zeros(60_000, bool), 0.1) is None
+    assert judge_probabilities(probability, np.zeros(60_000, bool), 0.1) is None
 
 
 def test_the_most_confused_word_is_named_and_words_of_few_pixels_are_left_out():
     truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200 + ["tag"] * 5)
     leaf = np.concatenate([np.linspace(0.4, 1.0, 200), np.linspace(0.2, 0.8, 200), np.zeros(205)])
-    found = distinctions({"leaf": leaf, "grass": -leaf, "sky": np.zeros(605), "tag": leaf}, truth)
+    found = find_distinctions({"leaf": leaf, "grass": -leaf, "sky": np.zeros(605), "tag": leaf}, truth)
     assert found["leaf"].against == "grass"
     assert 0.6 < found["leaf"].auc < 0.9
     assert "tag" not in found
@@ -318,12 +318,14 @@ def test_the_most_confused_word_is_named_and_words_of_few_pixels_are_left_out():
 def test_a_general_word_is_not_compared_with_those_it_includes():
     truth = np.array(["leaf"] * 200 + ["grass"] * 200 + ["sky"] * 200)
     plant = np.concatenate([np.linspace(0.4, 1.0, 400), np.linspace(0.2, 0.8, 200)])
-    found = distinctions({"grass": plant, "sky": -plant, "plant": plant}, truth, general={"plant": ("leaf", "grass")})
+    found = find_distinctions(
+        {"grass": plant, "sky": -plant, "plant": plant}, truth, general={"plant": ("leaf", "grass")}
+    )
     assert found["plant"].against == found["grass"].against == "sky"
 
 
 def test_colour_words_agree_with_what_people_call_colours():
-    found = colour_distinctions()
+    found = find_colour_distinctions()
     assert len(found) >= 9
     assert min(each.auc for each in found.values()) >= 0.8
 
@@ -331,12 +333,12 @@ def test_colour_words_agree_with_what_people_call_colours():
 @pytest.mark.parametrize("step", [1, 4])
 def test_outputs_of_a_photos_size_are_read_at_its_pixels(step: int):
     outputs = torch.rand(13, 22, 3, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(at_pixels(outputs, (13, 22), step), outputs[::step, ::step], atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(interpolate(outputs, (13, 22), step), outputs[::step, ::step], atol=1e-5, rtol=0.0)
 
 
 def test_outputs_smaller_than_a_photo_are_read_where_they_cover_its_pixels():
     down, right = torch.meshgrid(torch.arange(5.0), torch.arange(9.0), indexing="ij")
-    found = at_pixels(torch.stack([down, right], dim=-1), (20, 27), 4)
+    found = interpolate(torch.stack([down, right], dim=-1), (20, 27), 4)
     rows = ((torch.arange(0, 20, 4) + 0.5) / 4.0 - 0.5).clamp(0.0, 4.0)
     columns = ((torch.arange(0, 27, 4) + 0.5) / 3.0 - 0.5).clamp(0.0, 8.0)
     torch.testing.assert_close(found[..., 0], rows[:, None].expand(5, 7))
@@ -358,7 +360,7 @@ def test_pasted_words_are_read_in_photos_larger_than_what_is_seen():
         pixels = rng.integers(0, 256, (60, 1200, 3), dtype=np.uint8)
         boxes = [Box(word, 100, 10, 140, 50)]
         photos.append(Picture(pixels, box_labels(boxes, (60, 1200)), word, boxes))
-    shares = pasted_words(EmbeddedEncoder.open(), photos, each=1)
+    shares = score_pasted_words(EmbeddedEncoder.open(), photos, each=1)
     assert set(shares) == {"apple", "pear"}
     assert all(0.0 <= share <= 1.0 for share in shares.values())
 
@@ -374,7 +376,7 @@ def test_fruit_without_a_box_counts_against_the_encoder_until_the_user_marks_it(
     save_weights(
         tmp_path / "w.safetensors", Network(len(CONCEPTS)), Calibration(), widths=WIDTHS, depths=DEPTHS, seeds=[]
     )
-    score = photo_scores(EmbeddedEncoder.open(tmp_path / "w.safetensors"), [pixels])["apple"]
+    score = score_photos(EmbeddedEncoder.open(tmp_path / "w.safetensors"), [pixels])["apple"]
     assert score.ellipses.average_precision < 1.0 == score.seen.average_precision
 
 

@@ -20,12 +20,12 @@ from fruitlangs.fitting.counting.verifying import (
     PLACE_RADIUS_SD,
     VIEW_SUMS,
     Tree,
+    _make_samples,
     _rescale,
-    _samples,
-    around_truth,
     calibrate,
     fit,
-    mined,
+    mine_samples,
+    sample_around_truth,
 )
 
 SIZES = np.tile([0.06, 0.09], 6)
@@ -56,7 +56,7 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> list[tuple[np.ndarray, ...]]:
 def test_places_around_fruit_have_about_the_radii_of_the_nearest_ones(
     tree: Tree, looks: list[tuple[np.ndarray, ...]]
 ) -> None:
-    around_truth(tree, np.random.default_rng(0))
+    sample_around_truth(tree, np.random.default_rng(0))
     ((centers, radii, _, _),) = looks
     visible = tree.truth.visible
     nearest = cKDTree(BALLS.centers[visible]).query(centers)[1]
@@ -66,7 +66,7 @@ def test_places_around_fruit_have_about_the_radii_of_the_nearest_ones(
 
 
 def test_known_fruit_have_about_their_own_radii(tree: Tree, looks: list[tuple[np.ndarray, ...]]) -> None:
-    around_truth(tree, np.random.default_rng(0))
+    sample_around_truth(tree, np.random.default_rng(0))
     ((_, _, known, known_radii),) = looks
     assert len(known) == 11
     off = np.log(known_radii / BALLS.radii[:11])
@@ -77,7 +77,7 @@ def test_known_fruit_have_about_their_own_radii(tree: Tree, looks: list[tuple[np
 def test_mistakes_are_learnt_with_the_radii_that_the_search_found_and_with_others(
     tree: Tree, looks: list[tuple[np.ndarray, ...]]
 ) -> None:
-    samples = mined(tree, load_networks(), np.random.default_rng(0))
+    samples = mine_samples(tree, load_networks(), np.random.default_rng(0))
     found = search_photos(tree.verifier(load_networks()), tree.diameter, tree.frame)
     (exact, radii, known, known_radii), (moved, radii_of_moved, _, _) = looks
     assert np.array_equal(exact, found.places.centers)
@@ -91,14 +91,14 @@ def test_mistakes_are_learnt_with_the_radii_that_the_search_found_and_with_other
 
 def test_growths_that_are_learnt_are_those_from_the_radius_of_a_place_to_that_of_its_fruit(tree: Tree) -> None:
     places = Places(BALLS.centers[:2], BALLS.radii[:2] * [0.8, 1.25])
-    samples = _samples(tree, places, NO_PLACES, np.full((2, 1), -1), np.zeros((2, 11), bool))
+    samples = _make_samples(tree, places, NO_PLACES, np.full((2, 1), -1), np.zeros((2, 11), bool))
     assert samples.fruit.tolist() == [1.0, 1.0]
     assert np.exp(samples.growths.numpy()) == pytest.approx([1.25, 0.8])
 
 
 def test_shifts_that_are_learnt_are_those_from_which_the_verifier_moves_to_the_fruit(tree: Tree) -> None:
     aside = Places(BALLS.centers[:1] + [0.01, -0.02, 0.02], BALLS.radii[:1])
-    samples = _samples(tree, aside, NO_PLACES, np.full((1, 1), -1), np.zeros((1, 11), bool))
+    samples = _make_samples(tree, aside, NO_PLACES, np.full((1, 1), -1), np.zeros((1, 11), bool))
     chosen, _ = tree.views.choose(aside.centers, aside.radii, samples.exists.shape[1])
     moves = tree.verifier(load_networks())._moves(
         aside.centers, aside.radii, chosen, samples.shifts, torch.full(samples.exists.shape, -4.0)
@@ -120,7 +120,7 @@ def test_places_are_also_learnt_as_if_their_tree_had_other_numbers_of_photos_and
 
 
 def test_equal_places_train_equal_networks(tree: Tree) -> None:
-    samples = around_truth(tree, np.random.default_rng(0))
+    samples = sample_around_truth(tree, np.random.default_rng(0))
     one, other = (fit(samples, epochs=1, seed=0) for _ in range(2))
     assert all((a == b).all() for a, b in zip(one.parameters(), other.parameters(), strict=True))
 
