@@ -12,12 +12,12 @@ from .cameras.aim import Part, choose_part
 from .cameras.camera_path import Place
 from .config import OrchardConfig
 from .plants.crop import Crop, PlacedFruit
-from .plants.foliage import Leaves, leaves_outside, place_leaves
+from .plants.foliage import Leaves, keep_outside, place_leaves
 from .plants.fruiting import Fruiting, Habit
 from .plants.tree import grow
 from .shapes.branch import Branch
 from .shapes.ground import Ground, lay_ground
-from .shapes.meshes import Mesh, fruit_mesh
+from .shapes.meshes import Mesh, make_fruit_mesh
 from .species import SPECIES, Species, Variant
 from .surroundings.distractors import hang_tags, scatter_flowers
 from .surroundings.neighbours import Neighbour, Prototype, plant_neighbours
@@ -76,11 +76,11 @@ def plant(config: OrchardConfig) -> Orchard:
     feet = spacing * (np.arange(config.trees) - (config.trees - 1) / 2)
     half_row = float(feet[-1])
     ground = lay_ground(streams[2], size=size, half_row=half_row, posts=config.posts)
-    trees = [_moved(grow(streams[1], species, config.form), x) for x in feet]
+    trees = [_move(grow(streams[1], species, config.form), x) for x in feet]
     part = choose_part(streams[7], config, species, trees[0])
     fruits = _bear(streams[3], config, species, trees, feet, ground, part)
-    leaves = [_foliage(streams[4], config, species, tree, x, fruits) for tree, x in zip(trees, feet, strict=True)]
-    crown = _crown(leaves, trees)
+    leaves = [_grow_foliage(streams[4], config, species, tree, x, fruits) for tree, x in zip(trees, feet, strict=True)]
+    crown = _find_crown(leaves, trees)
     place = Place(crown=crown, half_row=half_row, part=part)
     prototypes, neighbours = plant_neighbours(streams[8], config, species, variant, place, spacing, len(fruits) + 1)
     far = [f for n in neighbours for f in n.fruits(prototypes[n.prototype])]
@@ -90,9 +90,9 @@ def plant(config: OrchardConfig) -> Orchard:
         species=species,
         variant=variant,
         branches=tuple(branch for tree in trees for branch in tree),
-        leaves=_together(leaves),
+        leaves=_join(leaves),
         fruits=(*fruits, *far),
-        fruit_meshes=tuple(fruit_mesh(streams[5], f.body, variant) for f in fruits),
+        fruit_meshes=tuple(make_fruit_mesh(streams[5], f.body, variant) for f in fruits),
         ground=ground,
         place=place,
         tags=tuple(tag for tree in trees for tag in hang_tags(decor, tree, config.tags)),
@@ -120,7 +120,7 @@ def species_of(config: OrchardConfig) -> Species:
     return replace(species, tree_height=config.tree_height) if config.tree_height else species
 
 
-def _moved(branches: Sequence[Branch], x: float) -> tuple[Branch, ...]:
+def _move(branches: Sequence[Branch], x: float) -> tuple[Branch, ...]:
     return tuple(replace(b, points=b.points + [x, 0.0, 0.0]) for b in branches)
 
 
@@ -146,7 +146,7 @@ def _bear(
     return crop.fruits
 
 
-def _foliage(
+def _grow_foliage(
     rng: np.random.Generator,
     config: OrchardConfig,
     species: Species,
@@ -154,14 +154,14 @@ def _foliage(
     x: float,
     fruits: Sequence[PlacedFruit],
 ) -> Leaves:
-    """The leaves of the tree, none through a fruit."""
-    leaves = place_leaves(rng, _moved(tree, -x), species, int(config.leaves * 1.25)).moved(np.array([x, 0.0, 0.0]))
+    """Grow the leaves of the tree, none through a fruit."""
+    leaves = place_leaves(rng, _move(tree, -x), species, int(config.leaves * 1.25)).move(np.array([x, 0.0, 0.0]))
     centers = np.array([f.body.center for f in fruits]).reshape(-1, 3)
-    free = leaves_outside(leaves, centers, np.array([f.diameter for f in fruits]))
-    return free.chosen(np.arange(min(config.leaves, len(free.bases))))
+    free = keep_outside(leaves, centers, np.array([f.diameter for f in fruits]))
+    return free.select(np.arange(min(config.leaves, len(free.bases))))
 
 
-def _together(leaves: Sequence[Leaves]) -> Leaves:
+def _join(leaves: Sequence[Leaves]) -> Leaves:
     return Leaves(
         bases=np.concatenate([each.bases for each in leaves]),
         frames=np.concatenate([each.frames for each in leaves]),
@@ -170,8 +170,8 @@ def _together(leaves: Sequence[Leaves]) -> Leaves:
     )
 
 
-def _crown(leaves: Sequence[Leaves], trees: Sequence[Sequence[Branch]]) -> FloatArray:
-    """(2, 3) low and high corner around the crowns, without the outermost twentieth of each."""
+def _find_crown(leaves: Sequence[Leaves], trees: Sequence[Sequence[Branch]]) -> FloatArray:
+    """Find the low and high corner (2, 3) around the crowns, without the outermost twentieth of each."""
     bare = [np.vstack([b.points for b in tree if b.generation >= 2]) for tree in trees]
     places = [e.bases if len(e.bases) >= 100 else wood for e, wood in zip(leaves, bare, strict=True)]
     corners = np.array([np.percentile(p, [2.5, 97.5], axis=0) for p in places])

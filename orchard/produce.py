@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from .blender.render import Passes, picture_pixels, prepare, render_view
 from .blender.stage import dress, set_stage
-from .cameras.camera_path import camera_places
-from .cameras.close_ups import close_ups
-from .cameras.poses import disturbed
-from .cameras.shake import shake_of
+from .cameras.camera_path import plan_views
+from .cameras.close_ups import plan_close_ups
+from .cameras.poses import disturb
+from .cameras.shake import sample_shake
 from .cameras.viewpoint import Viewpoint
 from .classes import CLASSES, FRUIT
 from .config import GENERATOR_VERSION, OrchardConfig
@@ -46,7 +46,7 @@ def produce(
         OrchardError: `out` contains other files, or cannot be written.
     """
     _claim(config, out)
-    if _complete(out, classes=classes):
+    if _is_complete(out, classes=classes):
         report(f"{out}: already complete")
     else:
         _make(config, out, classes=classes, preview=preview, report=report)
@@ -56,7 +56,7 @@ def produce(
 
 def _make(config: OrchardConfig, out: Path, *, classes: bool, preview: int, report: Report) -> None:
     orchard = plant(config)
-    views = viewpoints(orchard)
+    views = plan_viewpoints(orchard)
     if preview:
         views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, preview).astype(int))]
     passes = _render(orchard, views, out, classes=classes, report=report)
@@ -71,7 +71,7 @@ def _make(config: OrchardConfig, out: Path, *, classes: bool, preview: int, repo
     report(f"{out}: complete")
 
 
-def _complete(out: Path, *, classes: bool) -> bool:
+def _is_complete(out: Path, *, classes: bool) -> bool:
     """Whether an earlier run of this configuration finished."""
     done = bool(_mark(out).get("complete"))
     return done and (not classes or (out / "classes.json").exists())
@@ -91,7 +91,7 @@ def _claim(config: OrchardConfig, out: Path) -> None:
         if (out / "orchard.json").exists():
             if _mark(out).get("digest") != config.digest():
                 raise OrchardError(f"{out} holds a scene of other settings: name another folder or remove it")
-            if _complete(out, classes=False):
+            if _is_complete(out, classes=False):
                 return
         elif out.exists() and any(out.iterdir()):
             raise OrchardError(f"{out} is not empty and holds no orchard: name another folder")
@@ -103,20 +103,20 @@ def _claim(config: OrchardConfig, out: Path) -> None:
         raise OrchardError(f"{out} cannot be used ({error.strerror}): name a folder that can be written") from error
 
 
-def viewpoints(orchard: Orchard) -> list[Viewpoint]:
-    """The cameras of the scene, generated from its seed."""
+def plan_viewpoints(orchard: Orchard) -> list[Viewpoint]:
+    """Plan the cameras of the scene, generated from its seed."""
     rng = np.random.default_rng([orchard.config.seed, 20])
     if not orchard.config.close_ups:
-        return camera_places(rng, orchard.config, orchard.species, orchard.place)
+        return plan_views(rng, orchard.config, orchard.species, orchard.place)
     bodies = [f.body for f in orchard.fruits if f.kind != "neighbour"]
     things = np.array([thing.mesh.vertices.mean(axis=0) for thing in orchard.things]).reshape(-1, 3)
-    return close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies, things)
+    return plan_close_ups(rng, orchard.config, orchard.species, orchard.place.crown, bodies, things)
 
 
 def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes: bool, report: Report) -> list[Passes]:
     scratch = out / "cache"
     scratch.mkdir(exist_ok=True)
-    missing = [v for v in views if not ((out / "images" / v.name).exists() and _cached(out, v).exists())]
+    missing = [v for v in views if not ((out / "images" / v.name).exists() and _name_cached(out, v).exists())]
     if missing:
         stage = set_stage(orchard)
         prepare(orchard.config, scratch, report)
@@ -124,41 +124,41 @@ def _render(orchard: Orchard, views: Sequence[Viewpoint], out: Path, *, classes:
     for done, view in enumerate(missing, start=1):
         number = int(Path(view.name).stem)
         dress(stage, orchard, number)
-        shake = _shake(orchard.config, number)
+        shake = _sample_shake(orchard.config, number)
         seed = orchard.config.seed * 1000 + number
         passes = render_view(view, out / "images" / view.name, scratch, orchard.ground, seed=seed, shake=shake)
         half_made = scratch / "half_made.npz"
         np.savez_compressed(half_made, fruit=passes.fruit, classes=passes.classes, depth=passes.depth)
-        os.replace(half_made, _cached(out, view))
+        os.replace(half_made, _name_cached(out, view))
         pace = (time.monotonic() - start) / done
         report(f"{out.name}: view {done}/{len(missing)}, {pace:.1f} s a view")
     results = []
     for view in views:
-        with np.load(_cached(out, view)) as file:
+        with np.load(_name_cached(out, view)) as file:
             results.append(Passes(fruit=file["fruit"], classes=file["classes"], depth=file["depth"]))
         stem = Path(view.name).stem
         png.write_grey(out / "instances" / f"{stem}.png", results[-1].fruit)
         (out / "depth").mkdir(exist_ok=True)
-        png.write_grey(out / "depth" / f"{stem}.png", millimetres(results[-1].depth))
+        png.write_grey(out / "depth" / f"{stem}.png", convert_to_millimetres(results[-1].depth))
         if classes:
             (out / "classes").mkdir(exist_ok=True)
             png.write_grey(out / "classes" / f"{stem}.png", results[-1].classes)
     return results
 
 
-def millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """(H, W) depth in metres as whole millimetres; 0 for nothing, and beyond the range of 16 bits (65.5 m)."""
+def convert_to_millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Convert depth (H, W) in metres to whole millimetres; 0 for nothing, and beyond the range of 16 bits (65.5 m)."""
     rounded = np.rint(depth * 1000.0)
     return np.where(rounded <= 65535, rounded, 0).astype(np.uint16)
 
 
-def _shake(config: OrchardConfig, number: int) -> NDArray[np.float64] | None:
-    """The camera shake in the view with this number."""
+def _sample_shake(config: OrchardConfig, number: int) -> NDArray[np.float64] | None:
+    """Sample the camera shake in the view with this number."""
     rng = np.random.default_rng([config.seed, 22, number])
-    return shake_of(rng, config.motion_blur) if config.motion_blur > 0 else None
+    return sample_shake(rng, config.motion_blur) if config.motion_blur > 0 else None
 
 
-def _cached(out: Path, view: Viewpoint) -> Path:
+def _name_cached(out: Path, view: Viewpoint) -> Path:
     return out / "cache" / f"{Path(view.name).stem}.npz"
 
 
@@ -172,7 +172,7 @@ def _describe(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[Pas
     if config.pose_noise > 0:
         noise = np.random.default_rng([config.seed, 31])
         away = views[0].focal * orchard.species.diameter / config.fruit_pixels
-        written = disturbed(noise, views, degrees=config.pose_noise, distance=away)
+        written = disturb(noise, views, degrees=config.pose_noise, distance=away)
     sparse.write_model(out / "sparse" / "0", views, cloud, written)
 
 
@@ -180,7 +180,7 @@ def _write_truth(orchard: Orchard, views: Sequence[Viewpoint], passes: Sequence[
     config = orchard.config
     names = [v.name for v in views]
     ids = [f.id for f in orchard.fruits]
-    shown = truth.visibilities(views, [p.fruit for p in passes], ids, orchard.world_meshes)
+    shown = truth.measure_visibilities(views, [p.fruit for p in passes], ids, orchard.world_meshes)
     document = {
         "generator": GENERATOR_VERSION,
         "seed": config.seed,

@@ -13,8 +13,8 @@ from ..shapes.meshes import Mesh
 FloatArray = NDArray[np.float64]
 
 
-def mesh_data(name: str, mesh: Mesh, material: Any, *, smooth: bool = True) -> Any:
-    """A Blender mesh with the colours of `mesh`, if any, as its attribute tint."""
+def make_mesh_data(name: str, mesh: Mesh, material: Any, *, smooth: bool = True) -> Any:
+    """Make a Blender mesh with the colours of `mesh`, if any, as its attribute tint."""
     data = bpy.data.meshes.new(name)
     faces = [q[:3] if q[2] == q[3] else q for q in mesh.quads.tolist()]
     data.from_pydata(mesh.vertices.tolist(), [], faces)
@@ -29,7 +29,7 @@ def mesh_data(name: str, mesh: Mesh, material: Any, *, smooth: bool = True) -> A
 
 
 def add_object(name: str, data: Any, collection: Any = None) -> Any:
-    """A new object in the scene, or in a collection that is not."""
+    """Add an object in the scene, or in a collection that is not."""
     thing = bpy.data.objects.new(name, data)
     (collection or bpy.context.scene.collection).objects.link(thing)
     return thing

@@ -45,7 +45,7 @@ def leaf_material() -> Any:
     """Diffuse, translucent and waxy, in the colour of the object; matte and paler below, quilted between the side
     veins."""
     material, nodes = _material("leaf", CLASSES.index("leaf"))
-    color, relief = _veined(nodes, _aged(nodes))
+    color, relief = _add_veins(nodes, _age(nodes))
     back = nodes("ShaderNodeNewGeometry").outputs["Backfacing"]
     pale = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=0.4, _1=color, _2=(0.33, 0.4, 0.24, 1)).outputs[0]
     front = nodes("ShaderNodeMixRGB", {"blend_type": "MIX"}, _0=back, _1=color, _2=pale).outputs[0]
@@ -61,8 +61,8 @@ def leaf_material() -> Any:
     return material
 
 
-def _aged(nodes: _Nodes) -> Any:
-    """The colour of the object; some leaves are yellower and a few brown, by the object's random number."""
+def _age(nodes: _Nodes) -> Any:
+    """Return the colour of the object; some leaves are yellower and a few brown, by the object's random number."""
     thing = nodes("ShaderNodeObjectInfo")
     age = nodes("ShaderNodeMapRange", _0=thing.outputs["Random"], _1=0.7, _2=1.0, _3=0.0, _4=0.55).outputs[0]
     color = nodes("ShaderNodeMixRGB", _0=age, _1=thing.outputs["Color"], _2=(0.3, 0.31, 0.035, 1)).outputs[0]
@@ -70,8 +70,9 @@ def _aged(nodes: _Nodes) -> Any:
     return nodes("ShaderNodeMixRGB", _0=dry, _1=color, _2=(0.2, 0.13, 0.045, 1)).outputs[0]
 
 
-def _veined(nodes: _Nodes, color: Any) -> tuple[Any, Any]:
-    """Colour with a paler midrib along the leaf's own y axis and faint slanting side veins, and the relief of these."""
+def _add_veins(nodes: _Nodes, color: Any) -> tuple[Any, Any]:
+    """Return the colour with a paler midrib along the leaf's own y axis and faint slanting side veins, and the relief
+    of these."""
 
     def calculate(operation: str, a: Any, b: Any = 0.0) -> Any:
         return nodes("ShaderNodeMath", {"operation": operation}, _0=a, _1=b).outputs[0]
@@ -113,9 +114,9 @@ def fruit_material(species: Species) -> Any:
     noise = nodes("ShaderNodeTexNoise", Vector=place, Scale=9.0 / species.diameter, Detail=1.0).outputs[0]
     speckle = nodes("ShaderNodeMapRange", _0=noise, _1=0.3, _2=0.7, _3=0.88, _4=1.1).outputs[0]
     color = nodes("ShaderNodeMixRGB", {"blend_type": "MULTIPLY"}, _0=1.0, _1=skin, _2=speckle).outputs[0]
-    color, relief = _dotted(nodes, species, place, color)
+    color, relief = _add_dots(nodes, species, place, color)
     if species.bloom > 0:
-        color = _bloomy(nodes, species, place, color)
+        color = _add_bloom(nodes, species, place, color)
     matte = nodes("ShaderNodeBsdfDiffuse", Color=color, **relief).outputs[0]
     if species.fuzz > 0:
         hair = nodes("ShaderNodeBsdfSheen", Color=(0.9, 0.8, 0.75, 1), Roughness=0.4).outputs[0]
@@ -126,8 +127,8 @@ def fruit_material(species: Species) -> Any:
     return material
 
 
-def _dotted(nodes: _Nodes, species: Species, place: Any, color: Any) -> tuple[Any, dict[str, Any]]:
-    """The colour with lenticels, and the input of the shaders, if any, that gives a peel its pores."""
+def _add_dots(nodes: _Nodes, species: Species, place: Any, color: Any) -> tuple[Any, dict[str, Any]]:
+    """Return the colour with lenticels, and the input of the shaders, if any, that gives a peel its pores."""
     relief: dict[str, Any] = {}
     if species.lenticels > 0 or species.pores > 0:
         cells = nodes("ShaderNodeTexVoronoi", Vector=place, Scale=17.0 / species.diameter).outputs["Distance"]
@@ -140,8 +141,8 @@ def _dotted(nodes: _Nodes, species: Species, place: Any, color: Any) -> tuple[An
     return color, relief
 
 
-def _bloomy(nodes: _Nodes, species: Species, place: Any, color: Any) -> Any:
-    """The colour under a pale film that is wiped off in places."""
+def _add_bloom(nodes: _Nodes, species: Species, place: Any, color: Any) -> Any:
+    """Return the colour under a pale film that is wiped off in places."""
     wiped = nodes("ShaderNodeTexNoise", Vector=place, Scale=2.2 / species.diameter, Detail=2.0).outputs[0]
     film = nodes("ShaderNodeMapRange", _0=wiped, _1=0.38, _2=0.6, _3=0.0, _4=species.bloom).outputs[0]
     return nodes("ShaderNodeMixRGB", _0=film, _1=color, _2=(0.24, 0.27, 0.42, 1)).outputs[0]
@@ -185,7 +186,7 @@ def backdrop_material() -> Any:
     return material
 
 
-def sky(
+def make_sky(
     scene: Any,
     *,
     horizon: tuple[float, ...],
@@ -194,7 +195,7 @@ def sky(
     clouds: float,
     strength: float,
 ) -> None:
-    """A sky from horizon to zenith colour with soft clouds, which cover a share of it from 0 to 1."""
+    """Make a sky from horizon to zenith colour with soft clouds, which cover a share of it from 0 to 1."""
     world = bpy.data.worlds.new("sky")
     world.use_nodes = True
     nodes = _Nodes(world.node_tree)

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cameras.shake import shaken
+from ..cameras.shake import apply_shake
 from ..cameras.viewpoint import Viewpoint
 from ..classes import CLASSES
 from ..config import OrchardConfig
@@ -39,7 +39,7 @@ class Passes:
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def silence() -> Iterator[None]:
     """Discard what Blender's C code prints to stdout, including its buffer."""
     libc = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
     sys.stdout.flush()
@@ -83,7 +83,7 @@ def prepare(config: OrchardConfig, scratch: Path, report: Callable[[str], None])
     cycles.use_light_tree = False
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.use_pass_object_index = layer.use_pass_material_index = True
-    _compositor(scene, scratch)
+    _set_compositor(scene, scratch)
 
 
 def _denoise(cycles: Any, config: OrchardConfig, report: Callable[[str], None]) -> None:
@@ -97,7 +97,7 @@ def _denoise(cycles: Any, config: OrchardConfig, report: Callable[[str], None]) 
         report(f"this Blender has no denoiser: {cycles.samples} samples a pixel instead of {config.samples}")
 
 
-def _compositor(scene: Any, scratch: Path) -> None:
+def _set_compositor(scene: Any, scratch: Path) -> None:
     scene.use_nodes = True
     tree = scene.node_tree
     tree.nodes.clear()
@@ -152,18 +152,19 @@ def render_view(
     scene.render.image_settings.file_format = "JPEG" if shake is None else "PNG"
     scene.render.filepath = str(sharp)
     scene.frame_set(1)
-    with quiet():
+    with silence():
         bpy.ops.render.render(write_still=True)
     passes = _read_passes(next(scratch.glob("passes_*")), view, ground)
     if shake is not None:
-        _write_jpeg(half_made, shaken(picture_pixels(sharp), shake))
-    half_made.write_bytes(without_comments(half_made.read_bytes()))
+        _write_jpeg(half_made, apply_shake(picture_pixels(sharp), shake))
+    half_made.write_bytes(remove_comments(half_made.read_bytes()))
     os.replace(half_made, picture)
     return passes
 
 
-def without_comments(jpeg: bytes) -> bytes:
-    """A JPEG file without its comment segments: Blender writes render times there, which make equal pictures differ."""
+def remove_comments(jpeg: bytes) -> bytes:
+    """Return a JPEG file without its comment segments: Blender writes render times there, which make equal pictures
+    differ."""
     kept, at = [jpeg[:2]], 2
     while jpeg[at : at + 2] != b"\xff\xda":  # until the start of the scan, every segment starts with its length
         end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")

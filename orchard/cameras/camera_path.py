@@ -49,16 +49,16 @@ class CameraPlace:
     target: FloatArray
 
 
-def camera_places(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
-    """The views of the configured path, with random variation of position and target; one focal length for all."""
+def plan_views(rng: np.random.Generator, config: OrchardConfig, species: Species, place: Place) -> list[Viewpoint]:
+    """Plan the views of the configured path, with random variation of position and target; one focal length for all."""
     size = species.tree_height / 2.3
     if place.part is not None:
         distance = 0.6 * species.tree_height
-        stands = [_before_part(rng, config, place.part, distance, i) for i in range(config.views)]
+        stands = [_place_before_part(rng, config, place.part, distance, i) for i in range(config.views)]
         shake = 0.25 * place.part.reach
     else:
         distance = distance_from_row(species, place) + (0.0 if config.path in ALONG else place.half_row)
-        step = _along_row if config.path in ALONG else _around
+        step = _place_along_row if config.path in ALONG else _place_around
         stands = [step(rng, config, place, distance, i) for i in range(config.views)]
         shake = 0.05 * size
     focal = config.fruit_pixels * distance / species.diameter
@@ -105,14 +105,14 @@ def _step(rng: np.random.Generator, config: OrchardConfig, i: int) -> _Step:
         share = (i + 0.5 + rng.uniform(-0.15, 0.15)) / config.views
         return _Step(share=share, climb=0.5 - 0.5 * np.cos(2 * np.pi * WAVES * share))
     along = config.path in ALONG
-    ring, place = divmod(i, _per_ring(config)) if along else (i % config.rings, i // config.rings)
-    share = (place + 0.5 + rng.uniform(-0.15, 0.15)) / _per_ring(config)
+    ring, place = divmod(i, _count_per_ring(config)) if along else (i % config.rings, i // config.rings)
+    share = (place + 0.5 + rng.uniform(-0.15, 0.15)) / _count_per_ring(config)
     if not along:  # those of one ring are between those of another
-        share += (ring / config.rings - 0.5) / _per_ring(config)
+        share += (ring / config.rings - 0.5) / _count_per_ring(config)
     return _Step(share=share, climb=float(np.linspace(0.0, 1.0, config.rings)[ring]))
 
 
-def _per_ring(config: OrchardConfig) -> int:
+def _count_per_ring(config: OrchardConfig) -> int:
     return -(-config.views // config.rings)
 
 
@@ -122,8 +122,10 @@ def _level(place: Place, climb: float) -> float:
     return float(_middle(place)[2] + tall * np.interp(climb, [0.0, 1.0], LEVELS))
 
 
-def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of a path around the trees or half around them."""
+def _place_around(
+    rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int
+) -> CameraPlace:
+    """Place the i-th picture of a path around the trees or half around them."""
     step = _step(rng, config, i)
     turn = np.pi + np.pi * step.share if config.path == "half-ring" else 2 * np.pi * step.share
     away = distance * rng.uniform(0.95, 1.05)
@@ -132,11 +134,13 @@ def _around(rng: np.random.Generator, config: OrchardConfig, place: Place, dista
     return CameraPlace(place=np.array([x, y, _level(place, step.climb)]), target=middle)
 
 
-def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of a path along the row, to at the first height, back at the second, and so on; of a flight
-    obliquely from above, to on one side of the row and back on the other."""
+def _place_along_row(
+    rng: np.random.Generator, config: OrchardConfig, place: Place, distance: float, i: int
+) -> CameraPlace:
+    """Place the i-th picture of a path along the row, to at the first height, back at the second, and so on; of a
+    flight obliquely from above, to on one side of the row and back on the other."""
     step = _step(rng, config, i)
-    back = i // _per_ring(config) % 2 == 1
+    back = i // _count_per_ring(config) % 2 == 1
     low, high = place.crown[:, 0]
     middle = _middle(place)
     x = low + (high - low) * (1 - step.share if back else step.share)
@@ -150,8 +154,10 @@ def _along_row(rng: np.random.Generator, config: OrchardConfig, place: Place, di
     return CameraPlace(place=np.array([x, middle[1] - away, _level(place, step.climb)]), target=target)
 
 
-def _before_part(rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int) -> CameraPlace:
-    """The i-th picture of arcs before a part of the crown."""
+def _place_before_part(
+    rng: np.random.Generator, config: OrchardConfig, part: Part, distance: float, i: int
+) -> CameraPlace:
+    """Place the i-th picture of arcs before a part of the crown."""
     step = _step(rng, config, i)
     turn = np.radians(ARCS[config.path] * (2 * step.share - 1))
     rise = np.radians(np.interp(step.climb, [0.0, 1.0], RISES))

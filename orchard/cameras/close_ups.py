@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from ..config import OrchardConfig
 from ..shapes.body import Body
-from ..shapes.branch import unit
+from ..shapes.branch import to_unit
 from ..species import Species
 from .viewpoint import Viewpoint, look_at
 
 FloatArray = NDArray[np.float64]
 
 
-def close_ups(
+def plan_close_ups(
     rng: np.random.Generator,
     config: OrchardConfig,
     species: Species,
@@ -25,7 +25,7 @@ def close_ups(
     fruits: Sequence[Body],
     things: FloatArray,
 ) -> list[Viewpoint]:
-    """Views from varying distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length.
+    """Plan views from varying distances, each aimed at a fruit; fruit span about 10 to 90 pixels; one focal length.
 
     With objects at places (T, 3), every third view is aimed at one of them, from a tree's width away.
     """
@@ -36,12 +36,12 @@ def close_ups(
     views = []
     for i, span in enumerate(spans):
         target = fruits[rng.integers(len(fruits))].center if fruits else middle
-        outward = unit(np.array([*(target - middle)[:2], 0.0]) + rng.normal(0.0, 0.25, 3) * [1, 1, 0] * size + 1e-6)
+        outward = to_unit(np.array([*(target - middle)[:2], 0.0]) + rng.normal(0.0, 0.25, 3) * [1, 1, 0] * size + 1e-6)
         rise = np.tan(np.radians(rng.uniform(-22, 32)))
         distance = max(focal * species.diameter / span, 2.2 * species.diameter)
         if len(things) and i % 3 == 1:
             target, distance = things[rng.integers(len(things))], size * rng.uniform(0.8, 2.2)
-        place = target + unit(outward + [0, 0, rise]) * distance
+        place = target + to_unit(outward + [0, 0, rise]) * distance
         place[2] = max(place[2], 0.15 * size)
         aim = target + rng.normal(0.0, 0.25, 3) * species.diameter
         view = Viewpoint(
@@ -51,12 +51,12 @@ def close_ups(
             height=config.height,
             world_to_camera=look_at(place, aim, rng.normal(0, 0.06)),
         )
-        views.append(replace(view, nearest=_cut(view, 0.55 * distance, fruits)))
+        views.append(replace(view, nearest=_choose_near_clip(view, 0.55 * distance, fruits)))
     return views
 
 
-def _cut(view: Viewpoint, wanted: float, fruits: Sequence[Body]) -> float:
-    """Near clipping distance, at most `wanted`, so that leaves in front do not hide everything.
+def _choose_near_clip(view: Viewpoint, wanted: float, fruits: Sequence[Body]) -> float:
+    """Choose the near clipping distance, at most `wanted`, so that leaves in front do not hide everything.
 
     Neither the ground nor a fruit is cut.
     """

@@ -10,10 +10,11 @@ import numpy as np
 from .viewpoint import FloatArray, Viewpoint
 
 
-def disturbed(
+def disturb(
     rng: np.random.Generator, views: Sequence[Viewpoint], *, degrees: float, distance: float
 ) -> list[Viewpoint]:
-    """The views with rotations wrong by `degrees` about each axis and centres wrong by the same angle × `distance`.
+    """Return the views with rotations wrong by `degrees` about each axis and centres wrong by the same angle ×
+    `distance`.
 
     Both are standard deviations. With the distance (metres) to the target, a wrong rotation and a wrong centre move the
     picture there by equally many pixels.

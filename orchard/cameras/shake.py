@@ -10,23 +10,24 @@ from ..srgb import from_linear, to_linear
 FloatArray = NDArray[np.float64]
 
 
-def shake_of(rng: np.random.Generator, mean_length: float) -> FloatArray:
-    """(2,) motion of a picture during its exposure, in pixels of x and y; `mean_length` is the mean over pictures."""
+def sample_shake(rng: np.random.Generator, mean_length: float) -> FloatArray:
+    """Sample the motion (2,) of a picture during its exposure, in pixels of x and y; `mean_length` is the mean over
+    pictures."""
     length, turn = mean_length * rng.uniform(0.4, 1.6), rng.uniform(0, 2 * np.pi)
     return length * np.array([np.cos(turn), np.sin(turn)])
 
 
-def shaken(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
-    """The picture (H, W, 3), sRGB, averaged in linear light along the shake, centred on the sharp picture."""
+def apply_shake(pixels: NDArray[np.uint8], shake: FloatArray) -> NDArray[np.uint8]:
+    """Average the picture (H, W, 3), sRGB, in linear light along the shake, centred on the sharp picture."""
     light = to_linear(pixels / 255.0)
     steps = 2 * int(np.ceil(np.linalg.norm(shake))) + 1
     places = np.linspace(-0.5, 0.5, steps)
-    mean = np.asarray(sum(_shifted(light, shake * s) for s in places)) / steps
+    mean = np.asarray(sum(_shift(light, shake * s) for s in places)) / steps
     return np.rint(255 * np.clip(from_linear(mean), 0, 1)).astype(np.uint8)
 
 
-def _shifted(light: FloatArray, shift: FloatArray) -> FloatArray:
-    """The picture moved by (x, y) pixels, bilinear, with repeated borders."""
+def _shift(light: FloatArray, shift: FloatArray) -> FloatArray:
+    """Move the picture by (x, y) pixels, bilinear, with repeated borders."""
     for axis, amount in ((1, shift[0]), (0, shift[1])):
         whole = int(np.floor(amount))
         part = amount - whole

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shapes.branch import unit
+from ..shapes.branch import to_unit
 
 FloatArray = NDArray[np.float64]
 
@@ -47,8 +47,8 @@ class Viewpoint:
 
 def look_at(position: FloatArray, target: FloatArray, roll: float = 0.0) -> FloatArray:
     """(3, 4) world_to_camera of a camera at `position` that looks at `target`, z up in the world."""
-    forward = unit(target - position)
-    right = unit(np.cross(forward, [0.0, 0.0, 1.0]))
+    forward = to_unit(target - position)
+    right = to_unit(np.cross(forward, [0.0, 0.0, 1.0]))
     down = np.cross(forward, right)
     c, s = np.cos(roll), np.sin(roll)
     rotation = np.stack([c * right + s * down, c * down - s * right, forward])

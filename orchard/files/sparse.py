@@ -51,7 +51,7 @@ def sample_cloud(
         pixels = np.stack([columns, rows], axis=1) + 0.5
         z = depth[rows, columns].astype(np.float64)
         points = view.unproject(pixels, z)
-        seen = _who_sees(points, views, depths)
+        seen = _find_seen(points, views, depths)
         seen &= rng.uniform(size=seen.shape) < LONGEST_TRACK / np.maximum(seen.sum(axis=1, keepdims=True), 1)
         seen[:, number] = True
         noisy = points + rng.normal(size=points.shape) * (0.001 * z)[:, None]
@@ -66,10 +66,10 @@ def sample_cloud(
     )
 
 
-def _who_sees(
+def _find_seen(
     points: FloatArray, views: Sequence[Viewpoint], depths: Sequence[NDArray[np.float32]]
 ) -> NDArray[np.bool_]:
-    """(M, V) whether a view's depth at the point's pixel agrees with the point's."""
+    """Find (M, V) whether a view's depth at the point's pixel agrees with the point's."""
     seen = np.zeros((len(points), len(views)), dtype=bool)
     for i, (view, depth) in enumerate(zip(views, depths, strict=True)):
         pixels, z = view.project(points)

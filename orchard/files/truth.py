@@ -54,8 +54,8 @@ def is_visible(pixels: ArrayLike, fractions: ArrayLike) -> bool:
     return int(shown.sum()) >= LEAST_VIEWS
 
 
-def silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:
-    """How many pixel centres inside the picture the mesh covers, with nothing in front of it.
+def count_silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:
+    """Count the pixel centres inside the picture that the mesh covers, with nothing in front of it.
 
     Every triangle is tested against every pixel centre of the mesh's bounding box, so the outline is the mesh's own.
     """
@@ -76,12 +76,12 @@ def silhouette_pixels(view: Viewpoint, mesh: Mesh) -> int:
     covered = np.zeros(len(centers), dtype=bool)
     block = max(1, AT_ONCE // len(centers))
     for start in range(0, len(front), block):
-        covered |= _inside(front[start : start + block], centers).any(axis=0)
+        covered |= _find_inside(front[start : start + block], centers).any(axis=0)
     return int(covered.sum())
 
 
-def _inside(triangles: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """(T, P) whether the (T, 3, 2) triangles hold the (P, 2) points."""
+def _find_inside(triangles: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """Find (T, P) whether the (T, 3, 2) triangles hold the (P, 2) points."""
     inside = np.ones((len(triangles), len(points)), dtype=bool)
     for corner in range(3):
         p, q = triangles[:, corner, None], triangles[:, (corner + 1) % 3, None]
@@ -90,17 +90,17 @@ def _inside(triangles: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
     return inside
 
 
-def visibilities(
+def measure_visibilities(
     views: Sequence[Viewpoint], instances: Sequence[NDArray[np.uint16]], ids: Sequence[int], meshes: Sequence[Mesh]
 ) -> list[Visibility]:
-    """The visibility of each fruit, from instance masks (H, W) and the meshes of the fruit."""
+    """Measure the visibility of each fruit, from instance masks (H, W) and the meshes of the fruit."""
     top = max(ids, default=0) + 1
     seen = np.array([np.bincount(mask.ravel(), minlength=top)[:top] for mask in instances])
     return [
         Visibility(
             visible_pixels=tuple(int(n) for n in seen[:, number]),
             whole_pixels=tuple(
-                silhouette_pixels(view, mesh) if n else 0 for view, n in zip(views, seen[:, number], strict=True)
+                count_silhouette_pixels(view, mesh) if n else 0 for view, n in zip(views, seen[:, number], strict=True)
             ),
         )
         for number, mesh in zip(ids, meshes, strict=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shapes.body import Body, gap, signed_distance
-from ..shapes.branch import Branch, wood_samples
+from ..shapes.body import Body, measure_gap, measure_signed_distance
+from ..shapes.branch import Branch, sample_wood
 
 FloatArray = NDArray[np.float64]
 OVERLAP = 0.005
@@ -40,7 +40,7 @@ class Crop:
     """Fruit placed one after another among the wood of some trees, each clear of everything placed before."""
 
     def __init__(self, branches: Sequence[Branch], first_id: int = 1) -> None:
-        samples = wood_samples(branches)
+        samples = sample_wood(branches)
         self.wood = samples[np.argsort(samples[:, 2], kind="stable")]
         """(M, 4) points on centre lines with the radius there, sorted by height."""
         self.first_id = first_id
@@ -61,15 +61,15 @@ class Crop:
         self.fruits.append(fruit)
         return fruit
 
-    def clear(self, body: Body, diameter: float) -> bool:
+    def is_clear(self, body: Body, diameter: float) -> bool:
         """Whether the body is clear of wood and of every placed fruit, except for touching."""
         reach = body.reach + WIDEST
         low, high = np.searchsorted(self.wood[:, 2], [body.center[2] - reach, body.center[2] + reach])
         near = self.wood[low:high]
         near = near[((near[:, :3] - body.center) ** 2).sum(axis=1) < reach**2]
-        if len(near) and (signed_distance(body, near[:, :3]) - near[:, 3]).min() < 0.0:
+        if len(near) and (measure_signed_distance(body, near[:, :3]) - near[:, 3]).min() < 0.0:
             return False
         balls = self._balls[: len(self.fruits)]
         close = ((balls[:, :3] - body.center) ** 2).sum(axis=1) <= (balls[:, 3] + body.reach) ** 2
         others = [self.fruits[i] for i in np.flatnonzero(close)]
-        return all(gap(o.body, body) >= -OVERLAP * min(diameter, o.diameter) for o in others)
+        return all(measure_gap(o.body, body) >= -OVERLAP * min(diameter, o.diameter) for o in others)

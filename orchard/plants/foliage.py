@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shapes.branch import UP, Branch, unit
+from ..shapes.branch import UP, Branch, to_unit
 from ..species import Species
 
 FloatArray = NDArray[np.float64]
@@ -27,14 +27,14 @@ class Leaves:
     shades: FloatArray
     """(N,) from the darkest colour, 0, to the lightest, 1."""
 
-    def chosen(self, rows: NDArray[np.int64]) -> Leaves:
-        """The leaves with these numbers."""
+    def select(self, rows: NDArray[np.int64]) -> Leaves:
+        """Select the leaves with these numbers."""
         return Leaves(
             bases=self.bases[rows], frames=self.frames[rows], lengths=self.lengths[rows], shades=self.shades[rows]
         )
 
-    def moved(self, offset: FloatArray) -> Leaves:
-        """The same leaves at other positions."""
+    def move(self, offset: FloatArray) -> Leaves:
+        """Return the same leaves at other positions."""
         return Leaves(bases=self.bases + offset, frames=self.frames, lengths=self.lengths, shades=self.shades)
 
 
@@ -49,12 +49,12 @@ def place_leaves(rng: np.random.Generator, branches: Sequence[Branch], species: 
     alongs = np.empty((count, 3))
     for n, (host, f) in enumerate(zip(choice, fractions, strict=True)):
         bases[n], alongs[n] = hosts[host].at(float(f))
-    outward = unit(bases * [1, 1, 0] + [0, 0, 0.02])
-    random = unit(rng.normal(size=(count, 3)))
-    side = unit(random - (random * alongs).sum(axis=1, keepdims=True) * alongs)
-    midribs = unit(0.55 * alongs + 0.85 * side + 0.35 * outward + [0, 0, -0.25])
+    outward = to_unit(bases * [1, 1, 0] + [0, 0, 0.02])
+    random = to_unit(rng.normal(size=(count, 3)))
+    side = to_unit(random - (random * alongs).sum(axis=1, keepdims=True) * alongs)
+    midribs = to_unit(0.55 * alongs + 0.85 * side + 0.35 * outward + [0, 0, -0.25])
     normals = UP + 0.35 * outward + rng.normal(0.0, 0.42, (count, 3))
-    normals = unit(normals - (normals * midribs).sum(axis=1, keepdims=True) * midribs)
+    normals = to_unit(normals - (normals * midribs).sum(axis=1, keepdims=True) * midribs)
     across = np.cross(midribs, normals)
     return Leaves(
         bases=bases,
@@ -64,22 +64,23 @@ def place_leaves(rng: np.random.Generator, branches: Sequence[Branch], species: 
     )
 
 
-def leaves_outside(leaves: Leaves, centers: FloatArray, diameters: FloatArray) -> Leaves:
-    """The leaves whose midrib does not pass through a fruit, of (M, 3) centres and (M,) diameters."""
+def keep_outside(leaves: Leaves, centers: FloatArray, diameters: FloatArray) -> Leaves:
+    """Keep the leaves whose midrib does not pass through a fruit, of (M, 3) centres and (M,) diameters."""
     keep = np.ones(len(leaves.bases), dtype=bool)
     for part in (0.3, 0.6, 0.9, 1.15):
         place = leaves.bases + part * leaves.lengths[:, None] * leaves.frames[:, :, 1]
         for center, diameter in zip(centers, diameters, strict=True):
             keep &= ((place - center) ** 2).sum(axis=1) > (0.52 * diameter) ** 2
-    return leaves.chosen(np.flatnonzero(keep))
+    return leaves.select(np.flatnonzero(keep))
 
 
-def turned(rng: np.random.Generator, leaves: Leaves, degrees: float) -> FloatArray:
-    """(N, 3, 3) the frames of the leaves in wind: each rotates about a random axis by an angle of this deviation.
+def rotate_in_wind(rng: np.random.Generator, leaves: Leaves, degrees: float) -> FloatArray:
+    """Return the frames (N, 3, 3) of the leaves in wind: each rotates about a random axis by an angle of this
+    deviation.
 
     The base of a leaf's stalk stays in place.
     """
-    axis = unit(rng.normal(size=(len(leaves.bases), 3)))
+    axis = to_unit(rng.normal(size=(len(leaves.bases), 3)))
     angle = np.radians(rng.normal(0.0, degrees, len(leaves.bases)))[:, None, None]
     zero = np.zeros(len(axis))
     x, y, z = axis.T

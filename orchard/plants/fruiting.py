@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OrchardError
-from ..shapes.body import Body, gap, normalised, smooth_profile
-from ..shapes.branch import Branch, unit
+from ..shapes.body import Body, measure_gap, normalise_profile, smooth_profile
+from ..shapes.branch import Branch, to_unit
 from ..shapes.ground import HeightField
 from ..species import Species
 from .crop import OVERLAP, Crop, PlacedFruit
@@ -53,11 +53,11 @@ class Fruiting:
         self.tree = tree
         self.crop = crop or Crop(branches)
         self.profile = smooth_profile(species.profile, 22)
-        self.spurs = self._spurs(branches)
-        self.bearing = self._bearing()
+        self.spurs = self._sample_spurs(branches)
+        self.bearing = self._weigh_spurs()
 
-    def _spurs(self, branches: Sequence[Branch]) -> FloatArray:
-        """(S, 3) places on limbs, branches and twigs from which fruit may hang."""
+    def _sample_spurs(self, branches: Sequence[Branch]) -> FloatArray:
+        """Sample places (S, 3) on limbs, branches and twigs from which fruit may hang."""
         places = []
         for branch in branches:
             if branch.generation == 0:
@@ -69,46 +69,46 @@ class Fruiting:
         clearance = 1.2 * self.species.diameter + 0.12 * self.species.tree_height
         return spurs[spurs[:, 2] > clearance]
 
-    def _bearing(self) -> FloatArray:
-        """(S,) probability of each spur for the next clump."""
+    def _weigh_spurs(self) -> FloatArray:
+        """Return the probability (S,) of each spur for the next clump."""
         weights = np.ones(len(self.spurs))
         if self.habit.middle is not None:
             away = np.linalg.norm(self.spurs - self.habit.middle, axis=1)
             weights = np.exp(-0.5 * (away / self.habit.reach) ** 2) + 1e-9
         return weights / max(weights.sum(), 1e-12)
 
-    def _body(self, center: FloatArray, axis: FloatArray) -> tuple[Body, float]:
-        """A fruit of random size and slightly random shape."""
+    def _make_body(self, center: FloatArray, axis: FloatArray) -> tuple[Body, float]:
+        """Make a fruit of random size and slightly random shape."""
         spread = self.habit.spread if self.habit.spread >= 0 else self.species.spread
         low, high = min(0.7, max(0.35, 1 - 2.5 * spread)), max(1.35, 1 + 2.5 * spread)
         diameter = self.species.diameter * float(np.clip(self.rng.normal(1.0, spread), low, high))
-        shape = normalised(self.profile * [float(np.clip(self.rng.normal(1.0, 0.05), 0.88, 1.12)), 1.0])
-        return Body(center=center, axis=unit(axis), profile=shape * diameter), diameter
+        shape = normalise_profile(self.profile * [float(np.clip(self.rng.normal(1.0, 0.05), 0.88, 1.12)), 1.0])
+        return Body(center=center, axis=to_unit(axis), profile=shape * diameter), diameter
 
     def _hang(self, spur: FloatArray) -> tuple[Body, float]:
-        axis = unit(-DOWN + self.rng.normal(0.0, 0.22, 3))
-        body, diameter = self._body(np.zeros(3), axis)
+        axis = to_unit(-DOWN + self.rng.normal(0.0, 0.22, 3))
+        body, diameter = self._make_body(np.zeros(3), axis)
         stalk = self.rng.uniform(*self.species.stalk)
-        top = spur + stalk * unit(DOWN + self.rng.normal(0.0, 0.35, 3))
+        top = spur + stalk * to_unit(DOWN + self.rng.normal(0.0, 0.35, 3))
         return Body(center=top - axis * body.profile[0, 0], axis=axis, profile=body.profile), diameter
 
     def _nestle(self, neighbour: PlacedFruit) -> tuple[Body, float]:
         """A fruit that touches its neighbour from the side: moved outward until it just touches."""
         rng = self.rng
-        axis = unit(-DOWN + rng.normal(0.0, 0.28, 3))
-        body, diameter = self._body(np.zeros(3), axis)
-        heading = unit(rng.normal(0.0, 1.0, 3) * [1.0, 1.0, 0.45])
+        axis = to_unit(-DOWN + rng.normal(0.0, 0.28, 3))
+        body, diameter = self._make_body(np.zeros(3), axis)
+        heading = to_unit(rng.normal(0.0, 1.0, 3) * [1.0, 1.0, 0.45])
         near, far = 0.0, body.reach + neighbour.body.reach
         for _ in range(11):
             middle = 0.5 * (near + far)
             trial = Body(center=neighbour.body.center + middle * heading, axis=axis, profile=body.profile)
-            if gap(neighbour.body, trial) < -0.6 * OVERLAP * diameter:
+            if measure_gap(neighbour.body, trial) < -0.6 * OVERLAP * diameter:
                 near = middle
             else:
                 far = middle
         return Body(center=neighbour.body.center + far * heading, axis=axis, profile=body.profile), diameter
 
-    def _clump_size(self) -> int:
+    def _sample_clump_size(self) -> int:
         if self.habit.clump > 0:
             return min(1 + int(self.rng.poisson(self.habit.clump - 1)), LARGEST_CLUMP)
         weights = np.array(self.species.clump_sizes)
@@ -125,11 +125,11 @@ class Fruiting:
                 )
             spur = self.spurs[self.rng.choice(len(self.spurs), p=self.bearing)]
             body, diameter = self._hang(spur)
-            if not self.crop.clear(body, diameter):
+            if not self.crop.is_clear(body, diameter):
                 failures += 1
                 continue
             clump, failures = clump + 1, 0
-            hung += self._fill_clump(body, diameter, spur, clump, min(self._clump_size(), count - hung))
+            hung += self._fill_clump(body, diameter, spur, clump, min(self._sample_clump_size(), count - hung))
 
     def _fill_clump(self, body: Body, diameter: float, spur: FloatArray, clump: int, size: int) -> int:
         """Hang a clump's first fruit at its spur and the others next to it; returns how many found room."""
@@ -138,14 +138,14 @@ class Fruiting:
             if len(members) == size:
                 break
             body, diameter = self._nestle(members[int(self.rng.integers(len(members)))])
-            anchor = self._anchor(body, spur)
-            if anchor is not None and self.crop.clear(body, diameter):
+            anchor = self._find_anchor(body, spur)
+            if anchor is not None and self.crop.is_clear(body, diameter):
                 fruit = self.crop.add(body, diameter, kind="hanging", anchor=anchor, clump=clump, tree=self.tree)
                 members.append(fruit)
         return len(members)
 
-    def _anchor(self, body: Body, spur: FloatArray) -> FloatArray | None:
-        """The wood near the stalk end of the body, no farther than a long stalk; else the clump's own spur; else
+    def _find_anchor(self, body: Body, spur: FloatArray) -> FloatArray | None:
+        """Find the wood near the stalk end of the body, no farther than a long stalk; else the clump's own spur; else
         None."""
         above = self.crop.wood[:, :3]
         distance = np.linalg.norm(above - body.top, axis=1) + 0.03 * (above[:, 2] < body.top[2])
@@ -170,16 +170,16 @@ class Fruiting:
             tries += 1
             turn, away = self.rng.uniform(0, 2 * np.pi), radius * np.sqrt(self.rng.uniform(0.1, 1.0))
             x, y = x0 + away * np.cos(turn), away * np.sin(turn)
-            lying = unit(self.rng.normal(size=3) * [1, 1, 0.5])
-            body, diameter = self._body(np.zeros(3), lying)
-            center = np.array([x, y, ground_height(x, y) - _lowest(body) - 0.03 * diameter])
+            lying = to_unit(self.rng.normal(size=3) * [1, 1, 0.5])
+            body, diameter = self._make_body(np.zeros(3), lying)
+            center = np.array([x, y, ground_height(x, y) - _find_lowest(body) - 0.03 * diameter])
             body = Body(center=center, axis=body.axis, profile=body.profile)
-            if self.crop.clear(body, diameter):
+            if self.crop.is_clear(body, diameter):
                 self.crop.add(body, diameter, kind="fallen", anchor=None, clump=0, tree=self.tree)
                 fallen += 1
 
 
-def _lowest(body: Body) -> float:
-    """Height of the body's lowest point relative to its centre."""
+def _find_lowest(body: Body) -> float:
+    """Find the height of the body's lowest point relative to its centre."""
     z, r = body.profile[:, 0], body.profile[:, 1]
     return float((z * body.axis[2] - r * np.sqrt(max(0.0, 1 - body.axis[2] ** 2))).min())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..shapes.branch import UP, Branch, unit
+from ..shapes.branch import UP, Branch, to_unit
 
 FloatArray = NDArray[np.float64]
 
@@ -23,12 +23,12 @@ def path(
 ) -> FloatArray:
     """(steps + 1, 3) a line that first grows upward (lift) and bends down towards its loaded end (droop)."""
     points = [start]
-    d = unit(direction)
+    d = to_unit(direction)
     drift = rng.normal(0.0, wander, 3)
     for i in range(steps):
         s = (i + 0.5) / steps
         drift = 0.6 * drift + rng.normal(0.0, wander, 3)
-        d = unit(d + drift + UP * (lift * (1 - s) - droop * s) / steps)
+        d = to_unit(d + drift + UP * (lift * (1 - s) - droop * s) / steps)
         points.append(points[-1] + d * length / steps)
     return np.array(points)
 
@@ -40,7 +40,7 @@ def taper(base: float, tip: float, count: int) -> FloatArray:
 
 def sideways(rng: np.random.Generator, along: FloatArray, turn: float, angle: float) -> FloatArray:
     """A direction at an angle from `along`, rotated around it."""
-    a = unit(np.cross(along, UP + rng.normal(0.0, 0.05, 3)))
+    a = to_unit(np.cross(along, UP + rng.normal(0.0, 0.05, 3)))
     b = np.cross(a, along)
     return np.cos(angle) * along + np.sin(angle) * (np.cos(turn) * a + np.sin(turn) * b)
 

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 def grow(rng: np.random.Generator, species: Species, form: str = "spindle") -> tuple[Branch, ...]:
     """The wood of one tree; the first branch is its trunk."""
     size = species.tree_height / 2.3
-    grown = {"spindle": _spindle, "wall": _wall, "vase": _vase, "bush": _bush}[form](rng, size)
+    grown = {"spindle": _spindle, "wall": _wall, "vase": _vase, "bush": _grow_bush}[form](rng, size)
     return tuple(grown)
 
 
@@ -102,11 +102,11 @@ def _vase(rng: np.random.Generator, size: float) -> list[Branch]:
         f, rise = rng.uniform(0.8, 0.98), np.radians(rng.uniform(46, 58))
         length = size * rng.uniform(1.35, 1.6)
         limb, *rest = _limb(rng, trunk, f, azimuth, rise, length, size=size, droop=0.7, thickest=0.032)
-        branches += [limb, *(b for b in rest if _clear_of_centre(b, limb))]
+        branches += [limb, *(b for b in rest if _is_clear_of_centre(b, limb))]
     return branches
 
 
-def _clear_of_centre(shoot: Branch, limb: Branch) -> bool:
+def _is_clear_of_centre(shoot: Branch, limb: Branch) -> bool:
     """Whether a shoot ends no nearer to the trunk's axis than four fifths of the distance of its limb at that
     height."""
     tip = shoot.points[-1]
@@ -114,8 +114,8 @@ def _clear_of_centre(shoot: Branch, limb: Branch) -> bool:
     return bool(np.hypot(tip[0], tip[1]) > 0.8 * np.hypot(nearest[0], nearest[1]))
 
 
-def _bush(rng: np.random.Generator, size: float) -> list[Branch]:
-    """Several low stems from one base."""
+def _grow_bush(rng: np.random.Generator, size: float) -> list[Branch]:
+    """Grow several low stems from one base."""
     stool = _trunk(rng, size, height=0.1, thickness=0.05)
     branches = [stool]
     count = int(rng.integers(7, 10))

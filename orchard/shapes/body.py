@@ -33,7 +33,8 @@ class Body:
 
 
 def smooth_profile(points: tuple[tuple[float, float], ...], count: int) -> FloatArray:
-    """(count, 2) points at even arc length on the Catmull–Rom curve, of unit volume diameter, centroid at height 0."""
+    """Return the points (count, 2) at even arc length on the Catmull–Rom curve, of unit volume diameter, centroid at
+    height 0."""
     p = np.asarray(points, dtype=np.float64)
     ends = [2 * p[0] - p[1], *p, 2 * p[-1] - p[-2]]
     ends[0][1], ends[-1][1] = -p[1, 1], -p[-2, 1]
@@ -48,11 +49,11 @@ def smooth_profile(points: tuple[tuple[float, float], ...], count: int) -> Float
     even = np.linspace(0.0, length[-1], count)
     curve = np.stack([np.interp(even, length, dense[:, 0]), np.interp(even, length, dense[:, 1])], axis=1)
     curve[0, 1] = curve[-1, 1] = 0.0
-    return normalised(curve)
+    return normalise_profile(curve)
 
 
-def normalised(profile: FloatArray) -> FloatArray:
-    """The profile scaled so that the sphere of equal volume has diameter 1, and moved to its volume centroid."""
+def normalise_profile(profile: FloatArray) -> FloatArray:
+    """Scale the profile so that the sphere of equal volume has diameter 1, and move it to its volume centroid."""
     z, r = profile[:, 0], profile[:, 1]
     dz = -np.diff(z)
     # Frusta between the rings; heights descend from the stalk's end, and a dip counts negatively.
@@ -62,8 +63,8 @@ def normalised(profile: FloatArray) -> FloatArray:
     return np.stack([(z - centroid) * scale, r * scale], axis=1)
 
 
-def signed_distance(body: Body, points: FloatArray) -> FloatArray:
-    """(M,) distance of (M, 3) points to the body's surface, negative inside."""
+def measure_signed_distance(body: Body, points: FloatArray) -> FloatArray:
+    """Measure the distance (M,) of (M, 3) points to the body's surface, negative inside."""
     offset = points - body.center
     height = offset @ body.axis
     radius = np.sqrt(np.maximum((offset**2).sum(axis=1) - height**2, 0.0))
@@ -100,8 +101,10 @@ def surface_points(body: Body, segments: int = 16) -> FloatArray:
     return body.center + local @ frame_of(body.axis).T
 
 
-def gap(a: Body, b: Body) -> float:
-    """Least distance between two bodies; negative: depth of the overlap."""
+def measure_gap(a: Body, b: Body) -> float:
+    """Measure the least distance between two bodies; negative: depth of the overlap."""
     if np.linalg.norm(a.center - b.center) > a.reach + b.reach:
         return float(np.linalg.norm(a.center - b.center) - a.reach - b.reach)
-    return float(min(signed_distance(a, surface_points(b)).min(), signed_distance(b, surface_points(a)).min()))
+    return float(
+        min(measure_signed_distance(a, surface_points(b)).min(), measure_signed_distance(b, surface_points(a)).min())
+    )

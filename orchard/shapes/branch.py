@@ -39,13 +39,13 @@ class Branch:
         return float(np.interp(fraction * (len(self.radii) - 1), np.arange(len(self.radii)), self.radii))
 
 
-def unit(v: FloatArray) -> FloatArray:
-    """The vector, or each row, at length 1."""
+def to_unit(v: FloatArray) -> FloatArray:
+    """Return the vector, or each row, at length 1."""
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-12)
 
 
-def wood_samples(branches: Sequence[Branch], spacing: float = 0.012) -> FloatArray:
-    """(M, 4) points along every centre line with the radius there."""
+def sample_wood(branches: Sequence[Branch], spacing: float = 0.012) -> FloatArray:
+    """Sample points (M, 4) along every centre line with the radius there."""
     rows = []
     for branch in branches:
         k = np.linspace(0.0, len(branch.points) - 1.0, max(2, int(branch.span / spacing)))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..species import linear_rgb
-from .meshes import Mesh, tube
+from .meshes import Mesh, make_tube
 
 FloatArray = NDArray[np.float64]
 
@@ -84,15 +84,15 @@ def lay_ground(rng: np.random.Generator, *, size: float, half_row: float = 0.0, 
         patches=patches,
         soil_level=soil_level,
         tufts=(),
-        posts=_posts(rng.spawn(1)[0], size, half_row, posts),
+        posts=_place_posts(rng.spawn(1)[0], size, half_row, posts),
         grass=(linear_rgb(grass[0]), linear_rgb(grass[1])),
         soil=(linear_rgb(soil[0]), linear_rgb(soil[1])),
         half_row=half_row,
     )
-    return replace(ground, tufts=_tufts(rng, ground, size))
+    return replace(ground, tufts=_place_tufts(rng, ground, size))
 
 
-def _tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft, ...]:
+def _place_tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft, ...]:
     tufts = []
     longer = 1.0 + ground.half_row / (1.6 * size)
     for _ in range(int(rng.integers(300, 600) * longer)):
@@ -108,8 +108,8 @@ def _tufts(rng: np.random.Generator, ground: Ground, size: float) -> tuple[Tuft,
     return tuple(tufts)
 
 
-def _posts(rng: np.random.Generator, size: float, half_row: float, number: int) -> tuple[Mesh, ...]:
-    """Stakes near the trunks and fence posts farther out, alternating; with a random number, each with its
+def _place_posts(rng: np.random.Generator, size: float, half_row: float, number: int) -> tuple[Mesh, ...]:
+    """Place stakes near the trunks and fence posts farther out, alternating; with a random number, each with its
     probability."""
     wanted = [bool(rng.uniform() < 0.6) for _ in range(2)] if number < 0 else [True] * number
     posts = []
@@ -121,5 +121,5 @@ def _posts(rng: np.random.Generator, size: float, half_row: float, number: int) 
         foot = np.array([away * np.cos(turn) + rng.uniform(-1.0, 1.0) * half_row, away * np.sin(turn), -0.05])
         head = foot + np.array([*rng.normal(0.0, 0.015, 2), 1.0]) * height
         if stands:
-            posts.append(tube(np.linspace(foot, head, 4), np.full(4, radius), segments=12, cap=True))
+            posts.append(make_tube(np.linspace(foot, head, 4), np.full(4, radius), segments=12, cap=True))
     return tuple(posts)

@@ -12,8 +12,8 @@ UPWARD = [0, 3, 2, 1]
 """Order of a quad's corners in which rings that grow outward face up."""
 
 
-def ground_mesh(ground: Ground, size: float) -> Mesh:
-    """A disc whose rings grow outward, coloured by its patches."""
+def make_ground_mesh(ground: Ground, size: float) -> Mesh:
+    """Make a disc whose rings grow outward, coloured by its patches."""
     radii = np.concatenate([np.linspace(0.0, 4.0, 110)[1:], np.geomspace(4.15, 80.0, 36)]) * size
     turns = np.linspace(0, 2 * np.pi, 180, endpoint=False)
     x, y = (np.outer(radii, f(turns)).ravel() for f in (np.cos, np.sin))
@@ -34,8 +34,8 @@ def ground_mesh(ground: Ground, size: float) -> Mesh:
     )
 
 
-def backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
-    """A far hedge around the place, uneven in height and colour, hazy."""
+def make_backdrop_mesh(rng: np.random.Generator, size: float) -> Mesh:
+    """Make a far hedge around the place, uneven in height and colour, hazy."""
     turns = np.linspace(0, 2 * np.pi, 240, endpoint=False)
     away = rng.uniform(18, 40) * size
     shape = sum(np.sin(m * turns + rng.uniform(0, 6.28)) / m**0.6 for m in (2, 3, 5, 9, 14, 23, 37))

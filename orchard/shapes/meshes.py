@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..species import Species, Variant, linear_rgb
 from .body import Body, frame_of
-from .branch import unit
+from .branch import to_unit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,8 +32,8 @@ class Mesh:
         return both[(both[:, 0] != both[:, 1]) & (both[:, 1] != both[:, 2]) & (both[:, 0] != both[:, 2])]
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Several meshes joined."""
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Join several meshes."""
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
     return Mesh(
         vertices=np.vstack([m.vertices for m in meshes]),
@@ -50,14 +50,14 @@ def grid_quads(rows: int, columns: int, *, wrap: bool) -> IntArray:
     return np.stack([r + c, r + n, r + columns + n, r + columns + c], axis=2).reshape(-1, 4)
 
 
-def tube(points: FloatArray, radii: FloatArray, *, segments: int, cap: bool = False) -> Mesh:
-    """A tapering tube around a centre line, its rings turned as little as possible from one to the next."""
-    steps = unit(np.gradient(points, axis=0))
-    side = unit(np.cross(steps[0], [0.31, 0.95, 0.07]))
+def make_tube(points: FloatArray, radii: FloatArray, *, segments: int, cap: bool = False) -> Mesh:
+    """Make a tapering tube around a centre line, its rings turned as little as possible from one to the next."""
+    steps = to_unit(np.gradient(points, axis=0))
+    side = to_unit(np.cross(steps[0], [0.31, 0.95, 0.07]))
     angles = np.linspace(0.0, 2 * np.pi, segments, endpoint=False)
     rings = []
     for point, step, radius in zip(points, steps, radii, strict=True):
-        side = unit(side - (side @ step) * step)
+        side = to_unit(side - (side @ step) * step)
         rings.append(point + radius * (np.outer(np.cos(angles), side) + np.outer(np.sin(angles), np.cross(step, side))))
     quads = grid_quads(len(points), segments, wrap=True)
     vertices = np.vstack(rings)
@@ -70,8 +70,9 @@ def tube(points: FloatArray, radii: FloatArray, *, segments: int, cap: bool = Fa
     return Mesh(vertices=vertices, quads=quads)
 
 
-def leaf_prototype(rng: np.random.Generator, species: Species) -> Mesh:
-    """A leaf of midrib length 1 along +y from the origin, folded along its midrib, curved down, on a short stalk."""
+def make_leaf_prototype(rng: np.random.Generator, species: Species) -> Mesh:
+    """Make a leaf of midrib length 1 along +y from the origin, folded along its midrib, curved down, on a short
+    stalk."""
     rows = 8
     t = np.linspace(0.0, 1.0, rows)
     tip = species.leaf_tip
@@ -98,8 +99,8 @@ def leaf_prototype(rng: np.random.Generator, species: Species) -> Mesh:
     )
 
 
-def tuft_prototype(rng: np.random.Generator) -> Mesh:
-    """A clump of some twenty bent grass blades, about 10 cm high."""
+def make_tuft_prototype(rng: np.random.Generator) -> Mesh:
+    """Make a clump of some twenty bent grass blades, about 10 cm high."""
     blades = []
     for _ in range(int(rng.integers(16, 26))):
         turn, lean, high = rng.uniform(0, 2 * np.pi), rng.uniform(0.1, 0.8), rng.uniform(0.05, 0.12)
@@ -111,11 +112,11 @@ def tuft_prototype(rng: np.random.Generator) -> Mesh:
         width = np.array([1.0, 0.75, 0.1])[:, None]
         vertices = np.stack([line - side * width, line + side * width], axis=1).reshape(-1, 3)
         blades.append(Mesh(vertices=vertices, quads=np.array([[0, 1, 3, 2], [2, 3, 5, 4]])))
-    return joined(blades)
+    return join_meshes(blades)
 
 
-def fruit_mesh(rng: np.random.Generator, body: Body, variant: Variant, *, segments: int = 26) -> Mesh:
-    """The body's surface in the world frame with the colours of its variety."""
+def make_fruit_mesh(rng: np.random.Generator, body: Body, variant: Variant, *, segments: int = 26) -> Mesh:
+    """Make the body's surface in the world frame with the colours of its variety."""
     profile, k = body.profile, len(body.profile)
     angles = np.linspace(0.0, 2 * np.pi, segments, endpoint=False)
     z = np.repeat(profile[1:-1, 0], segments)
@@ -132,19 +133,19 @@ def fruit_mesh(rng: np.random.Generator, body: Body, variant: Variant, *, segmen
     ]
     quads = np.vstack([grid_quads(k - 2, segments, wrap=True)[:, ::-1], *caps])
     return Mesh(
-        vertices=body.center + local @ frame_of(body.axis).T, quads=quads, colors=_skin(rng, local, body, variant)
+        vertices=body.center + local @ frame_of(body.axis).T, quads=quads, colors=_paint_skin(rng, local, body, variant)
     )
 
 
-def _skin(rng: np.random.Generator, local: FloatArray, body: Body, variant: Variant) -> FloatArray:
-    """(V, 3) colours: gradient along the axis, a blush on one side, stripes and gentle mottling."""
+def _paint_skin(rng: np.random.Generator, local: FloatArray, body: Body, variant: Variant) -> FloatArray:
+    """Return colours (V, 3): gradient along the axis, a blush on one side, stripes and gentle mottling."""
     heights = body.profile[:, 0]
     s = (heights.max() - local[:, 2]) / (heights.max() - heights.min())
     knots = np.array([linear_rgb(c) for c in (variant.top, variant.middle, variant.bottom)])
     colors = np.stack([np.interp(s, [0.05, 0.5, 0.95], knots[:, c]) for c in range(3)], axis=1)
     turn = np.arctan2(local[:, 1], local[:, 0])
-    toward = unit(rng.normal(size=3) * [1, 1, 0.4])
-    facing = unit(local) @ toward
+    toward = to_unit(rng.normal(size=3) * [1, 1, 0.4])
+    facing = to_unit(local) @ toward
     low, high = variant.blush_strength
     strength = rng.uniform(low, high)
     edge = np.cos(np.pi * min(variant.blush_width, 0.98)) + rng.normal(0.0, 0.15)
@@ -158,10 +159,10 @@ def _skin(rng: np.random.Generator, local: FloatArray, body: Body, variant: Vari
     return np.clip(colors * rng.uniform(0.88, 1.12) * (1 + rng.normal(0.0, 0.03, 3)), 0.0, 1.0)
 
 
-def stalk_mesh(body: Body, anchor: FloatArray, diameter: float) -> Mesh:
-    """A thin bent stalk from just inside the fruit to the wood."""
+def make_stalk_mesh(body: Body, anchor: FloatArray, diameter: float) -> Mesh:
+    """Make a thin bent stalk from just inside the fruit to the wood."""
     start = body.top - body.axis * 0.01 * diameter
     t = np.linspace(0.0, 1.0, 5)[:, None]
     control = start + body.axis * 0.5 * np.linalg.norm(anchor - start)
     line = (1 - t) ** 2 * start + 2 * t * (1 - t) * control + t**2 * anchor
-    return tube(line, np.full(5, 0.0012 + 0.008 * diameter), segments=5)
+    return make_tube(line, np.full(5, 0.0012 + 0.008 * diameter), segments=5)

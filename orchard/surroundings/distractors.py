@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..plants.crop import PlacedFruit
 from ..plants.foliage import Leaves
-from ..shapes.branch import Branch, unit
+from ..shapes.branch import Branch, to_unit
 from ..shapes.ground import Ground
 from ..shapes.meshes import Mesh
 from ..species import Species, Variant, linear_rgb
@@ -29,8 +29,8 @@ def hang_tags(rng: np.random.Generator, branches: Sequence[Branch], count: int) 
         place, _ = twigs[int(rng.integers(len(twigs)))].at(float(rng.uniform(0.6, 0.95)))
         wide, long, string = rng.uniform(0.012, 0.018), rng.uniform(0.045, 0.07), rng.uniform(0.01, 0.05)
         turn, lean = rng.uniform(0, 2 * np.pi), rng.normal(0.0, 0.15, 2)
-        down = unit(np.array([*lean, -1.0]))
-        side = unit(np.cross(down, [np.cos(turn), np.sin(turn), 0.0]))
+        down = to_unit(np.array([*lean, -1.0]))
+        side = to_unit(np.cross(down, [np.cos(turn), np.sin(turn), 0.0]))
         top = place + string * down
         card = [top - wide * side, top + wide * side, top + wide * side + long * down, top - wide * side + long * down]
         cord = [place - 0.001 * side, place + 0.001 * side, top + 0.001 * side, top - 0.001 * side]
@@ -45,8 +45,8 @@ def hang_tags(rng: np.random.Generator, branches: Sequence[Branch], count: int) 
     return tags
 
 
-def flower_prototype(rng: np.random.Generator, variant: Variant) -> Mesh:
-    """A flat blossom of radius 1 that faces +z, in the colours of the fruit, with a small yellow heart."""
+def make_flower_prototype(rng: np.random.Generator, variant: Variant) -> Mesh:
+    """Make a flat blossom of radius 1 that faces +z, in the colours of the fruit, with a small yellow heart."""
     turns = np.linspace(0, 2 * np.pi, 8 * PETALS, endpoint=False)
     edge = 0.62 + 0.38 * np.abs(np.sin(PETALS * turns / 2 + rng.uniform(0, 6.28)))
     rings = [np.zeros(len(turns)), np.full(len(turns), 0.2), 0.65 * edge, edge]
@@ -92,20 +92,20 @@ def scatter_flowers(
         radius = species.diameter * rng.uniform(0.35, 0.6)
         if len(flowers) < in_crown:
             foot = leaves.bases[int(rng.integers(len(leaves.bases)))]
-            facing = unit((foot - [x0, 0, foot[2]]) + [0, 0, 0.1 * size] + 0.2 * size * rng.normal(size=3))
+            facing = to_unit((foot - [x0, 0, foot[2]]) + [0, 0, 0.1 * size] + 0.2 * size * rng.normal(size=3))
             place = foot + 1.2 * radius * facing
             if len(fruits) and (np.linalg.norm(centers - place, axis=1) < reaches + radius).any():
                 continue
         else:
             turn, away = rng.uniform(0, 2 * np.pi), size * rng.uniform(0.4, 2.0)
             x, y = x0 + away * np.cos(turn), away * np.sin(turn)
-            facing = unit(np.array([0.0, 0.0, 1.0]) + 0.35 * rng.normal(size=3))
+            facing = to_unit(np.array([0.0, 0.0, 1.0]) + 0.35 * rng.normal(size=3))
             place = np.array([x, y, float(ground.relief(x, y)) + rng.uniform(0.03, 0.12)])
-        flowers.append(_placed(flower_prototype(rng, variant), place, facing, radius))
+        flowers.append(_place(make_flower_prototype(rng, variant), place, facing, radius))
     return flowers
 
 
-def _placed(flower: Mesh, place: FloatArray, facing: FloatArray, radius: float) -> Mesh:
-    side = unit(np.cross(facing, [0.31, 0.95, 0.07]))
+def _place(flower: Mesh, place: FloatArray, facing: FloatArray, radius: float) -> Mesh:
+    side = to_unit(np.cross(facing, [0.31, 0.95, 0.07]))
     frame = np.stack([side, np.cross(facing, side), facing], axis=1)
     return replace(flower, vertices=place + radius * flower.vertices @ frame.T)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from ..cameras.camera_path import Place, distance_from_row
 from ..config import ALONG, OrchardConfig
 from ..plants.crop import Crop, PlacedFruit
-from ..plants.foliage import Leaves, leaves_outside, place_leaves
+from ..plants.foliage import Leaves, keep_outside, place_leaves
 from ..plants.fruiting import Fruiting, Habit
 from ..plants.tree import grow
 from ..shapes.branch import Branch
-from ..shapes.meshes import Mesh, fruit_mesh
+from ..shapes.meshes import Mesh, make_fruit_mesh
 from ..species import Species, Variant
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +84,7 @@ def plant_neighbours(
     first_id: int,
 ) -> tuple[tuple[Prototype, ...], tuple[Neighbour, ...]]:
     """Prototypes and their copies in two rows beyond the camera path, nearest to the tree first."""
-    prototypes = tuple(_prototype(rng, config, species, variant) for _ in range(min(KINDS, config.neighbours)))
+    prototypes = tuple(_make_prototype(rng, config, species, variant) for _ in range(min(KINDS, config.neighbours)))
     half_width = (place.crown[1] - place.crown[0])[1] / 2
     away = 1.06 * distance_from_row(species, place) + half_width + 0.3
     if config.path not in ALONG and place.part is None:
@@ -100,7 +100,7 @@ def plant_neighbours(
     return prototypes, tuple(neighbours)
 
 
-def _prototype(rng: np.random.Generator, config: OrchardConfig, species: Species, variant: Variant) -> Prototype:
+def _make_prototype(rng: np.random.Generator, config: OrchardConfig, species: Species, variant: Variant) -> Prototype:
     branches = grow(rng, species, config.form)
     crop = Crop(branches)
     habit = Habit(clump=config.clump, spread=config.spread)
@@ -108,10 +108,10 @@ def _prototype(rng: np.random.Generator, config: OrchardConfig, species: Species
     count = min(config.leaves, MOST_LEAVES)
     leaves = place_leaves(rng, branches, species, int(count * 1.25))
     centers = np.array([f.body.center for f in crop.fruits]).reshape(-1, 3)
-    leaves = leaves_outside(leaves, centers, np.array([f.diameter for f in crop.fruits]))
+    leaves = keep_outside(leaves, centers, np.array([f.diameter for f in crop.fruits]))
     return Prototype(
         branches=branches,
-        leaves=leaves.chosen(np.arange(min(count, len(leaves.bases)))),
+        leaves=leaves.select(np.arange(min(count, len(leaves.bases)))),
         fruits=tuple(crop.fruits),
-        fruit_meshes=tuple(fruit_mesh(rng, f.body, variant, segments=14) for f in crop.fruits),
+        fruit_meshes=tuple(make_fruit_mesh(rng, f.body, variant, segments=14) for f in crop.fruits),
     )

@@ -27,7 +27,7 @@ from _terminal import arguments_of, report, run
 from fruitlangs.orchard.blender.render import prepare, render_view
 from fruitlangs.orchard.blender.stage import set_stage
 from fruitlangs.orchard.cameras.camera_path import distance_from_row
-from fruitlangs.orchard.cameras.shake import shaken
+from fruitlangs.orchard.cameras.shake import apply_shake
 from fruitlangs.orchard.cameras.viewpoint import Viewpoint, look_at
 from fruitlangs.orchard.config import OrchardConfig
 from fruitlangs.orchard.planting import Orchard, plant
@@ -62,7 +62,7 @@ def darken(pixels: Pixels) -> Pixels:
 
 
 def shake(pixels: Pixels) -> Pixels:
-    return shaken(pixels, np.array([14.0, 5.0]))
+    return apply_shake(pixels, np.array([14.0, 5.0]))
 
 
 GOOD = [Shot(angle=STEP * number) for number in range(6)]

@@ -18,13 +18,13 @@ from fruitlangs.orchard.errors import OrchardError
 from fruitlangs.orchard.files.png import read_grey as png_read_grey
 from fruitlangs.orchard.files.png import write_grey
 from fruitlangs.orchard.files.sparse import sample_cloud
-from fruitlangs.orchard.files.truth import Visibility, fruit_record, silhouette_pixels, visibilities
+from fruitlangs.orchard.files.truth import Visibility, count_silhouette_pixels, fruit_record, measure_visibilities
 from fruitlangs.orchard.planting import plant
 from fruitlangs.orchard.plants.crop import PlacedFruit
 from fruitlangs.orchard.plants.fruiting import Fruiting
 from fruitlangs.orchard.plants.tree import grow
-from fruitlangs.orchard.shapes.body import Body, gap, signed_distance, smooth_profile, surface_points
-from fruitlangs.orchard.shapes.branch import wood_samples
+from fruitlangs.orchard.shapes.body import Body, measure_gap, measure_signed_distance, smooth_profile, surface_points
+from fruitlangs.orchard.shapes.branch import sample_wood
 from fruitlangs.orchard.shapes.meshes import Mesh
 from fruitlangs.orchard.species import SPECIES, UNNAMED
 from fruitlangs.orchard.training_scenes import ROUNDS, WALK_VIEWS, is_held_out, training_config
@@ -53,12 +53,12 @@ def ball(center: tuple[float, float, float], radius: float) -> Body:
 def test_signed_distance_to_a_ball_is_distance_to_its_centre_less_its_radius() -> None:
     points = np.random.default_rng(0).normal(size=(200, 3))
     expected = np.linalg.norm(points - [0.1, 0.2, 0.3], axis=1) - 0.5
-    np.testing.assert_allclose(signed_distance(ball((0.1, 0.2, 0.3), 0.5), points), expected, atol=1e-3)
+    np.testing.assert_allclose(measure_signed_distance(ball((0.1, 0.2, 0.3), 0.5), points), expected, atol=1e-3)
 
 
 def test_gap_between_balls_is_negative_when_they_overlap() -> None:
-    assert gap(ball((0, 0, 0), 0.5), ball((0.9, 0, 0), 0.5)) == pytest.approx(-0.1, abs=5e-3)
-    assert gap(ball((0, 0, 0), 0.5), ball((1.2, 0, 0), 0.5)) == pytest.approx(0.2, abs=5e-3)
+    assert measure_gap(ball((0, 0, 0), 0.5), ball((0.9, 0, 0), 0.5)) == pytest.approx(-0.1, abs=5e-3)
+    assert measure_gap(ball((0, 0, 0), 0.5), ball((1.2, 0, 0), 0.5)) == pytest.approx(0.2, abs=5e-3)
 
 
 @pytest.mark.parametrize("name", list(SPECIES))
@@ -74,7 +74,7 @@ def test_fruit_touch_in_clumps_and_never_run_into_each_other(name: str) -> None:
     orchard = plant(OrchardConfig(species=name, seed=3, fruits=30, leaves=50))
     bodies = [f.body for f in orchard.fruits]
     mean = float(np.mean([f.diameter for f in orchard.fruits]))
-    gaps = np.array([[gap(a, b) for b in bodies[:i]] + [np.inf] * (31 + 4 - i) for i, a in enumerate(bodies)])
+    gaps = np.array([[measure_gap(a, b) for b in bodies[:i]] + [np.inf] * (31 + 4 - i) for i, a in enumerate(bodies)])
     assert gaps.min() >= -0.02 * mean
     touching = int((gaps < 0.01 * mean).sum())
     clumps = np.bincount([f.clump for f in orchard.fruits if f.clump])
@@ -83,14 +83,14 @@ def test_fruit_touch_in_clumps_and_never_run_into_each_other(name: str) -> None:
 
 def test_fruit_stay_out_of_the_wood() -> None:
     orchard = plant(OrchardConfig(seed=4, fruits=40, leaves=50))
-    wood = wood_samples(orchard.branches)
+    wood = sample_wood(orchard.branches)
     for fruit in orchard.fruits:
-        assert (signed_distance(fruit.body, wood[:, :3]) - wood[:, 3]).min() >= 0.0
+        assert (measure_signed_distance(fruit.body, wood[:, :3]) - wood[:, 3]).min() >= 0.0
 
 
 def test_surface_points_lie_on_the_body() -> None:
     body = plant(OrchardConfig(seed=1, fruits=1, fallen=0, leaves=1)).fruits[0].body
-    assert np.abs(signed_distance(body, surface_points(body))).max() < 1e-9
+    assert np.abs(measure_signed_distance(body, surface_points(body))).max() < 1e-9
 
 
 def test_all_faces_of_a_fruit_look_outward() -> None:
@@ -112,11 +112,11 @@ def test_the_same_seed_plants_the_same_orchard_and_another_seed_another() -> Non
 
 def test_silhouette_of_a_box_covers_the_pixel_centres_inside_it() -> None:
     # The near face, 0.5 to each side at distance 1.5, spans ±13.33 pixels: 26 centres each way.
-    assert silhouette_pixels(front_view(), square(0.5)) == 26 * 26
+    assert count_silhouette_pixels(front_view(), square(0.5)) == 26 * 26
 
 
 def test_silhouette_is_cut_at_the_picture() -> None:
-    assert silhouette_pixels(front_view(width=10, height=30), square(0.5)) == 10 * 26
+    assert count_silhouette_pixels(front_view(width=10, height=30), square(0.5)) == 10 * 26
 
 
 def test_visible_needs_three_views_with_enough_share_and_pixels() -> None:
@@ -134,7 +134,7 @@ def test_visible_fraction_is_the_largest_share_over_views() -> None:
 def test_visibilities_count_the_mask_of_each_fruit() -> None:
     mask = np.zeros((30, 40), dtype=np.uint16)
     mask[2:5, 3:10] = 2
-    (shown,) = visibilities([front_view()], [mask], [2], [square(0.5)])
+    (shown,) = measure_visibilities([front_view()], [mask], [2], [square(0.5)])
     assert shown.visible_pixels == (21,)
     assert shown.whole_pixels == (676,)
 

@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fruitlangs.orchard.cameras.camera_path import Place, camera_places
-from fruitlangs.orchard.cameras.close_ups import close_ups
-from fruitlangs.orchard.cameras.poses import disturbed
-from fruitlangs.orchard.cameras.shake import shaken
+from fruitlangs.orchard.cameras.camera_path import Place, plan_views
+from fruitlangs.orchard.cameras.close_ups import plan_close_ups
+from fruitlangs.orchard.cameras.poses import disturb
+from fruitlangs.orchard.cameras.shake import apply_shake
 from fruitlangs.orchard.cameras.viewpoint import Viewpoint, look_at
 from fruitlangs.orchard.check import check
 from fruitlangs.orchard.config import FORMS, OrchardConfig
 from fruitlangs.orchard.errors import OrchardError
 from fruitlangs.orchard.planting import plant
-from fruitlangs.orchard.plants.foliage import Leaves, turned
+from fruitlangs.orchard.plants.foliage import Leaves, rotate_in_wind
 from fruitlangs.orchard.plants.tree import grow
 from fruitlangs.orchard.scene_file import find_scene, presets, read_scene
 from fruitlangs.orchard.shapes.ground import lay_ground
 from fruitlangs.orchard.species import SPECIES, UNNAMED
 from fruitlangs.orchard.surroundings.distractors import hang_tags
-from fruitlangs.orchard.surroundings.objects import SIZES, pattern
+from fruitlangs.orchard.surroundings.objects import SIZES, make_pattern
 from fruitlangs.orchard.surroundings.things import WORDS
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "make_orchard.py"
@@ -118,7 +118,7 @@ def test_a_row_has_trees_along_x_each_with_its_own_fruit() -> None:
 def test_neighbours_stand_behind_and_in_front_beyond_the_camera() -> None:
     config = OrchardConfig(neighbours=4, fruits=5, leaves=120, views=12)
     orchard = plant(config)
-    cameras = camera_places(np.random.default_rng(0), config, orchard.species, orchard.place)
+    cameras = plan_views(np.random.default_rng(0), config, orchard.species, orchard.place)
     farthest = max(abs(view.position[1]) for view in cameras)
     sides = [n.foot[1] for n in orchard.neighbours]
     assert sum(y > farthest for y in sides) == sum(y < -farthest for y in sides) == 2
@@ -163,14 +163,14 @@ def test_objects_of_no_word_are_clear_of_the_fruit_and_move_nothing_else() -> No
 def test_a_ball_is_never_painted_like_a_fruit_alone() -> None:
     ball = np.random.default_rng(1).normal(size=(50, 3))
     for seed in range(200):
-        colors = pattern(np.random.default_rng(seed), ball, is_ball=True)
+        colors = make_pattern(np.random.default_rng(seed), ball, is_ball=True)
         assert (colors[:, 2] > 0.5 * colors[:, :2].max(axis=1)).mean() > 0.05
 
 
 def test_every_third_close_up_looks_at_an_object() -> None:
     config = OrchardConfig(close_ups=True, views=6)
     things = np.array([[6.0, 0.0, 0.5], [-6.0, 1.0, 0.2]])
-    views = close_ups(np.random.default_rng(4), config, APPLE, PLACE.crown, [], things)
+    views = plan_close_ups(np.random.default_rng(4), config, APPLE, PLACE.crown, [], things)
     middle = [config.width / 2, config.height / 2]
     seen = [view.project(things) for view in views]
     at_one = [bool(((np.linalg.norm(p - middle, axis=1) < 100) & (z > 0) & (z < 3)).any()) for p, z in seen]
@@ -198,7 +198,7 @@ def test_tags_hang_on_twigs() -> None:
 def test_a_half_ring_stays_on_its_side_and_a_ring_goes_around() -> None:
     def lowest_and_highest_y(path: str) -> tuple[float, float]:
         config = OrchardConfig(path=path, views=24)
-        y = [v.position[1] for v in camera_places(np.random.default_rng(0), config, APPLE, PLACE)]
+        y = [v.position[1] for v in plan_views(np.random.default_rng(0), config, APPLE, PLACE)]
         return min(y), max(y)
 
     assert lowest_and_highest_y("ring")[1] > 2.0
@@ -209,7 +209,7 @@ def test_a_half_ring_stays_on_its_side_and_a_ring_goes_around() -> None:
 def test_a_path_along_the_row_goes_to_and_fro_at_two_heights() -> None:
     config = OrchardConfig(path="row", views=20, trees=3)
     place = Place(crown=np.array([[-2.4, -0.6, 0.5], [2.4, 0.6, 1.7]]), half_row=1.8, part=None)
-    spots = np.array([v.position for v in camera_places(np.random.default_rng(0), config, APPLE, place)])
+    spots = np.array([v.position for v in plan_views(np.random.default_rng(0), config, APPLE, place)])
     assert spots[:, 1].max() < -2.0
     assert (np.diff(spots[:10, 0]) > 0).all()
     assert (np.diff(spots[10:, 0]) < 0).all()
@@ -219,7 +219,7 @@ def test_a_path_along_the_row_goes_to_and_fro_at_two_heights() -> None:
 def test_a_flight_looks_down_on_one_side_of_the_row_and_then_on_the_other() -> None:
     config = OrchardConfig(path="flight", views=20, trees=3)
     place = Place(crown=np.array([[-2.4, -0.6, 0.5], [2.4, 0.6, 1.7]]), half_row=1.8, part=None)
-    views = camera_places(np.random.default_rng(0), config, APPLE, place)
+    views = plan_views(np.random.default_rng(0), config, APPLE, place)
     spots = np.array([view.position for view in views])
     assert (spots[:, 2] > 2.5).all()
     assert spots[:10, 1].max() < -1.0 < 1.0 < spots[10:, 1].min()
@@ -234,7 +234,7 @@ def test_a_narrow_picture_looks_at_a_part_of_the_crown_where_the_fruit_gather() 
     part = orchard.place.part
     assert part is not None
     centers = np.array([f.body.center for f in orchard.fruits if f.kind == "hanging"])
-    for view in camera_places(np.random.default_rng(0), config, orchard.species, orchard.place):
+    for view in plan_views(np.random.default_rng(0), config, orchard.species, orchard.place):
         pixels, depths = view.project(centers)
         assert ((pixels > 0) & (pixels < [300, 225])).all(axis=1).mean() > 0.3
         assert np.median(view.focal * 0.023 / depths) == pytest.approx(14.0, rel=0.2)
@@ -244,7 +244,7 @@ def test_wind_turns_leaves_by_its_angle_about_their_foot() -> None:
     count = 2000
     frames = np.tile(np.eye(3), (count, 1, 1))
     leaves = Leaves(bases=np.zeros((count, 3)), frames=frames, lengths=np.ones(count), shades=np.zeros(count))
-    after = turned(np.random.default_rng(0), leaves, 10.0)
+    after = rotate_in_wind(np.random.default_rng(0), leaves, 10.0)
     np.testing.assert_allclose(after @ after.transpose(0, 2, 1), frames, atol=1e-12)
     cosine = (np.trace(after, axis1=1, axis2=2) - 1) / 2
     assert np.degrees(np.sqrt((np.arccos(np.clip(cosine, -1, 1)) ** 2).mean())) == pytest.approx(10.0, rel=0.1)
@@ -253,7 +253,7 @@ def test_wind_turns_leaves_by_its_angle_about_their_foot() -> None:
 def test_shake_spreads_a_bright_point_along_itself_and_keeps_its_light() -> None:
     picture = np.zeros((21, 21, 3), dtype=np.uint8)
     picture[10, 10] = 255
-    blurred = shaken(picture, np.array([6.0, 0.0])) / 255.0
+    blurred = apply_shake(picture, np.array([6.0, 0.0])) / 255.0
     light = np.where(blurred <= 0.04045, blurred / 12.92, ((blurred + 0.055) / 1.055) ** 2.4)[..., 0]
     assert np.flatnonzero(light.max(axis=1)).tolist() == [10]
     assert np.flatnonzero(light.max(axis=0)).tolist() == list(range(7, 14))
@@ -263,7 +263,7 @@ def test_shake_spreads_a_bright_point_along_itself_and_keeps_its_light() -> None
 def test_pose_noise_turns_and_moves_by_its_deviation() -> None:
     pose = look_at(np.array([0.0, -2.0, 0.0]), np.zeros(3))
     views = [Viewpoint(name="a", focal=100.0, width=40, height=30, world_to_camera=pose)] * 2000
-    noisy = disturbed(np.random.default_rng(0), views, degrees=0.5, distance=2.0)
+    noisy = disturb(np.random.default_rng(0), views, degrees=0.5, distance=2.0)
     moved = np.array([v.position - views[0].position for v in noisy])
     assert moved.std(axis=0) == pytest.approx(np.full(3, np.radians(0.5) * 2.0), rel=0.1)
     turns = np.array([v.world_to_camera[:, :3] @ pose[:, :3].T for v in noisy])

@@ -93,10 +93,10 @@ def test_truth_is_the_same_bytes_for_the_same_seed(scene: Path, tmp_path: Path) 
 def test_what_c_prints_while_quiet_is_lost_even_where_its_stdout_is_buffered(tmp_path: Path) -> None:
     code = (
         "import ctypes, sys; sys.path.insert(0, sys.argv[1])\n"
-        "import _checkout; from fruitlangs.orchard.blender.render import quiet\n"
+        "import _checkout; from fruitlangs.orchard.blender.render import silence\n"
         "libc = ctypes.CDLL(None); puts = libc.puts; held = ctypes.create_string_buffer(4096)\n"
         "libc.setvbuf(ctypes.c_void_p.in_dll(libc, 'stdout'), held, 0, 4096)  # bpy may have left it unbuffered\n"
-        "puts(b'before')\nwith quiet(): puts(b'while')\nputs(b'after'); libc.fflush(None)"
+        "puts(b'before')\nwith silence(): puts(b'while')\nputs(b'after'); libc.fflush(None)"
     )
     command = [sys.executable, "-c", code, str(SCRIPT.parent)]
     with (tmp_path / "log").open("w") as log:
