@@ -17,18 +17,19 @@ from .records import Record
 from .studies import STUDIES, select_study
 from .tables import STUDY_OF, TABLES, condition_results, head, summary_line
 
-DOCUMENTS = ("README.md", "docs/accuracy.md", "benchmarks/RESULTS.md")
+FOR_USERS = ("docs/accuracy.md",)
+DOCUMENTS = (*FOR_USERS, "benchmarks/RESULTS.md")
 CONDITIONS_PICTURE = ROOT / "docs" / "images" / "conditions.png"
 _BLOCK = re.compile(r"(<!-- table ([a-z-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
-def fill(text: str, records: Sequence[Record]) -> str:
-    """Return a document with every table as the records have it."""
+def fill(text: str, records: Sequence[Record], *, for_users: bool = False) -> str:
+    """Return a document with every table as the records have it; for users without commits and machines."""
 
     def block(found: re.Match[str]) -> str:
         name = found[2]
         study = STUDY_OF.get(name)
-        parts = [head(study, records)] if study else []
+        parts = [head(study, records, for_users=for_users)] if study else []
         if not study or select_study(study, records):
             parts.append(TABLES[name](records))
         if name in STUDIES:
@@ -42,7 +43,7 @@ def write_documents(records: Sequence[Record]) -> None:
     """Fill the tables of all documents, and draw the picture of the conditions if any was measured."""
     for name in DOCUMENTS:
         path = ROOT / name
-        write_text(path, fill(path.read_text(encoding="utf-8"), records))
+        write_text(path, fill(path.read_text(encoding="utf-8"), records, for_users=name in FOR_USERS))
     own = condition_results(select_study("conditions", records))
     if len(own) > 1:
         draw_conditions([(words, result.near.f1 if result.near else 0.0) for words, result in own], CONDITIONS_PICTURE)

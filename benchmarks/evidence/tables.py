@@ -29,13 +29,15 @@ SUM_SIZE = 3
 METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "FruitNeRF's clustering"}
 
 
-def head(name: str, records: Sequence[Record]) -> str:
-    """Where a study comes from, and whether it is stale or not complete."""
+def head(name: str, records: Sequence[Record], *, for_users: bool = False) -> str:
+    """Where a study comes from, and whether it is stale or not complete; for users only when it was measured."""
     own, wanted = select_study(name, records), STUDIES[name].trials
     if not own:
-        return "Not measured yet: `make tables`."
+        return "Not measured yet." if for_users else "Not measured yet: `make tables`."
     cells = [record.cells for record in own.values()]
     days = sorted({each["date"] for each in cells})
+    if for_users:
+        return f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))}."
     commits = sorted({each["commit"] for each in cells})
     text = f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))} at commit {', '.join(commits)}, on "
     text += f"{'; '.join(sorted({each['machine'] for each in cells}))}."
