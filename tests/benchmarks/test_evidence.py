@@ -10,7 +10,7 @@ import pytest
 from measurements import RESULT
 
 from fruitlangs.benchmarks.evidence import code_state
-from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, draw_conditions, fill
+from fruitlangs.benchmarks.evidence.documents import DOCUMENTS, FOR_USERS, draw_conditions, fill
 from fruitlangs.benchmarks.evidence.records import (
     Record,
     Trial,
@@ -41,7 +41,15 @@ def test_the_committed_documents_say_what_the_committed_records_hold() -> None:
     assert records
     for name in DOCUMENTS:
         text = (ROOT / name).read_text(encoding="utf-8")
-        assert fill(text, records) == text, f"{name} is out of date: run make stale"
+        assert fill(text, records, for_users=name in FOR_USERS) == text, f"{name} is out of date: run make stale"
+
+
+def test_tables_for_users_have_the_day_and_neither_commit_nor_machine() -> None:
+    record = record_of(replace(RESULT, scene="plum-whole-413", stage=END_TO_END), "voting")
+    text = fill("<!-- table whole -->\n<!-- end -->", [record], for_users=True)
+    assert f"Measured {record.cells['date']}.\n" in text
+    assert record.cells["commit"] not in text
+    assert record.cells["machine"] not in text
 
 
 def test_every_block_of_a_document_has_a_table_and_every_study_a_block() -> None:
