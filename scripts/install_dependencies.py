@@ -30,9 +30,9 @@ def main() -> int:
     arguments = parser.parse_args(given)
     dependencies = find_dependencies()
     if arguments.cuda:
-        missing = [] if dependencies.cuda_torch() else ["PyTorch for NVIDIA cards"]
+        missing = [] if dependencies.has_cuda_torch() else ["PyTorch for NVIDIA cards"]
     else:
-        missing = dependencies.missing_packages()
+        missing = dependencies.find_missing_packages()
     if not missing:
         print("All Python packages are installed")
         return 0
@@ -41,7 +41,7 @@ def main() -> int:
         print("Say --yes to install them", file=sys.stderr)
         return 2
     try:
-        dependencies.install_missing(arguments.wheels, dependencies.printed(), cuda=arguments.cuda)
+        dependencies.install_missing(arguments.wheels, dependencies.print_steps(), cuda=arguments.cuda)
     except dependencies.InstallError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -57,8 +57,8 @@ def test_the_contact_sheet_is_in_a_folder_next_to_the_photos(photos: Path, tmp_p
 def test_the_contact_sheet_of_the_sample_is_not_among_the_files_of_the_checkout(tmp_path: Path) -> None:
     check_photos = importlib.import_module("check_photos")
     inside = sheet_folder(SAMPLE)
-    assert check_photos.outside_checkout(inside) == ROOT / "results" / "orchard_tree-check"
-    assert check_photos.outside_checkout(tmp_path / "tree-check") == tmp_path / "tree-check"
+    assert check_photos.keep_outside_checkout(inside) == ROOT / "results" / "orchard_tree-check"
+    assert check_photos.keep_outside_checkout(tmp_path / "tree-check") == tmp_path / "tree-check"
 
 
 def test_a_folder_inside_that_of_the_photos_is_refused(photos: Path) -> None:

@@ -71,7 +71,7 @@ def drawn(monkeypatch):
 @pytest.fixture
 def context(monkeypatch, status, drawn):
     """A user at the 3D viewport of an empty file."""
-    hit = SimpleNamespace(hit=lambda *_: np.zeros(3))
+    hit = SimpleNamespace(find_hit=lambda *_: np.zeros(3))
     monkeypatch.setattr(pick_tool, "Target3D", lambda bpy_scene: hit)
     area = next(area for area in bpy.context.screen.areas if area.type == "VIEW_3D")
     yield SimpleNamespace(
@@ -136,7 +136,7 @@ def clicks(context, monkeypatch):
     found = []
     region = SimpleNamespace(x=0, y=0, data="front")
     monkeypatch.setattr(pick_tool, "find_window_region", lambda area, event: region)
-    hit = SimpleNamespace(hit=lambda region, view, place: found.append(view) or np.zeros(3))
+    hit = SimpleNamespace(find_hit=lambda region, view, place: found.append(view) or np.zeros(3))
     monkeypatch.setattr(pick_tool, "Target3D", lambda bpy_scene: hit)
     return SimpleNamespace(views=found, region=region)
 
