@@ -93,7 +93,9 @@ def test_every_panel_draws_its_sentence_but_while_a_job_is_at_work(settings, mon
     assert [each.step for each in panels] == list(CHECKS)
     for each in panels:
         assert sentence(each.step) in drawn(each).text
-    monkeypatch.setattr("fruitlangs.fruitlangs_addon.panels.panel_parts.find_running_job", lambda: jobs.Job("Count", print))
+    monkeypatch.setattr(
+        "fruitlangs.fruitlangs_addon.panels.panel_parts.find_running_job", lambda: jobs.Job("Count", print)
+    )
     for each in panels:
         assert sentence(each.step) not in drawn(each).text
 
