@@ -4,8 +4,8 @@ show.
 Each chosen view gives a crop of the probability of the prompt, of the depth, and of the fruit that are already known. A
 convolutional network turns every crop into a shift of the centre with its error, a weight and a few numbers; the
 shifts of all views together move the centre in space, and the numbers together give the probability and the radius. It
-sees neither colours nor words, so it serves every prompt. Trained by `scripts/developer/fit_verifier.py` on rendered
-trees.
+sees neither colours nor words, so it serves every prompt. The answers of two such networks are averaged. Trained by
+`scripts/developer/fit_verifier.py` on rendered trees.
 """
 
 from __future__ import annotations
