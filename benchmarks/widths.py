@@ -157,5 +157,5 @@ def draw_widths(rows: Sequence[WidthRow], path: Path) -> None:
     axes.set_xlabel("mean width of the fruit in the photos, pixels")
     axes.set_ylabel("F1 score")
     axes.grid(alpha=0.3)
-    axes.legend()
+    axes.legend(loc="lower right")
     save_plot(figure, path)
