@@ -85,7 +85,7 @@ def reconstruct(source: Source, imported: Path | None, run: Run, progress: Progr
     renders for photos; imported: such a .ply in the frame of the photos' cameras. Imported Gaussians are not trained.
 
     Raises:
-        ConfigError: features shall be trained along with Gaussians that are not trained.
+        ConfigError: features are to be trained along with Gaussians that are not trained.
     """
     path, start = source.path, 0.0
     alone = path.suffix.lower() == ".ply"

@@ -25,7 +25,7 @@ def add_scale(made: Reconstruction, encoder: Encoder, asked: UnitsConfig, log: R
     An earlier result keeps its scale if the settings give no new one.
 
     Raises:
-        SceneError: what shall be measured is not in the scene, or two cameras stand in one place.
+        SceneError: what is to be measured is not in the scene, or two cameras stand in one place.
         EncoderError: the features were made by another encoder.
         VocabularyError: the encoder does not know the object's word.
     """

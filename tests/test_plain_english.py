@@ -41,6 +41,10 @@ WORDS = {
     r"\bat work\b": "say 'running'",
     r"\bmakes? (millimetres|metres) of\b": "say 'converts to millimetres'",
     r"\bgive or take\b": "say ±",
+    r"\bshall\b": "say what happens, or 'is to be'",
+    r"\b(is|are) none of\b": "say 'is unknown; use …' or 'is not'",
+    r"\bhalf-made\b": "say 'incomplete'",
+    r"\bfits? nowhere\b": "say 'could not be registered'",
     r"\bhas not the\b|\bknows no\b|\bis no\b(?! longer)": "say 'does not have', 'does not know', 'is not'",
 }
 """{pattern: what to write instead}."""
@@ -49,7 +53,8 @@ WORDS = {
 WORDS_OF_CODE = (
     r"nobody", r"\bwont to\b", r"\banew\b", r"\b(whence|thence|whereabouts)\b", r"\b(surer|sureness)\b",
     r"\btold\b", r"\bkept aside\b", r"\bborrowed\b", r"\b(road|twins?|rivals?)\b", r"\bdoubtful\b", r"\bbeside\b",
-    r"\bsomebody\b|\ba person\b", r"\bmeanwhile\b", r"\bthings?\b", r"\blooked (at|for)\b(?!, along|: tree)",
+    r"\bsomebody\b|\ba person\b", r"\bshall\b", r"\bhalf-made\b", r"\bmeanwhile\b",
+    r"\bthings?\b", r"\blooked (at|for)\b(?!, along|: tree)",
 )  # fmt: skip
 """Patterns that docstrings and comments do not have either."""
 

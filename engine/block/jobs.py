@@ -157,7 +157,7 @@ def slurm_jobs(
     import submitit
 
     logging.getLogger("submitit").setLevel(logging.ERROR)
-    # submitit stores the command in a file. The environment of this process is none of its business: Slurm hands it on,
+    # submitit stores the command in a file. The environment of this process does not concern it: Slurm hands it on,
     # and adds the cards and cores of the job.
     given = ["env", *(f"{name}={value}" for name, value in environment.items())]
     try:

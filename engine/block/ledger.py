@@ -84,7 +84,7 @@ class Ledger:
         """The trees that were noted.
 
         Raises:
-            OutputError: the folder is none of a block.
+            OutputError: the folder is not that of a block.
             FormatError: it is damaged, or another version wrote it.
         """
         try:

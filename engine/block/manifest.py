@@ -244,10 +244,10 @@ def _entry(row: Mapping[str, Any], place: str, base: Path, common: Mapping[str, 
         raise wrong(f"id '{own[:40]}' names a folder: use letters, digits, spaces, - and _ only")
     prompt = _texts(given.get("prompt", ""))
     if not prompt:
-        raise ConfigError(f"{path}, {place}: what shall be counted? Fill the column prompt, or give --prompt")
+        raise ConfigError(f"{path}, {place}: nothing says what to count. Fill the column prompt, or give --prompt")
     preset = str(given.get("preset", "standard"))
     if preset not in PRESETS:
-        raise wrong(f"preset '{preset}' is none of {', '.join(PRESETS)}")
+        raise wrong(f"preset '{preset}' is unknown; use {', '.join(PRESETS)}")
     numbers = {name: _number(given[name], name, wrong) for name in NUMBERS if name in given}
     _require_place(numbers, wrong)
     settings = {**_settings(common.get("settings", {}), wrong), **_settings(row.get("settings", {}), wrong)}

@@ -31,7 +31,7 @@ def publish_block(ledger: Ledger, *, all_trees: int | None = None, density: floa
     all_trees, density: as of `tables.summary`.
 
     Raises:
-        OutputError, FormatError: the folder is none of a block, or cannot be written.
+        OutputError, FormatError: the folder is not that of a block, or cannot be written.
     """
     trees = read_counts(ledger)
     rows = rows_of(trees, density)

@@ -69,7 +69,7 @@ def read_counts(ledger: Ledger) -> list[CountedTree]:
     """Every tree of the block with what its result says. One whose result is damaged has failed.
 
     Raises:
-        OutputError, FormatError: the folder is none of a block.
+        OutputError, FormatError: the folder is not that of a block.
     """
     found, states = [], ledger.states()
     for entry in ledger.trees():

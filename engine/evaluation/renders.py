@@ -76,7 +76,7 @@ def _picture(folder: Path, name: str, camera: Camera) -> NDArray[np.uint16]:
         with Image.open(path) as image:
             values = np.asarray(image)
     except FileNotFoundError as error:
-        raise FormatError(f"{path} is missing: the scene is half-made. Make it again with make_orchard.py") from error
+        raise FormatError(f"{path} is missing: the scene is incomplete. Run make_orchard.py again to resume") from error
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError) as error:
         raise FormatError(f"{path} is damaged ({error}). Remove it and make the scene again") from error
     if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer):

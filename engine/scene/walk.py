@@ -70,7 +70,7 @@ def cut_walk(scene: Scene, *, photos: int, sections: int = 0) -> Walk | None:
     Borders lie where there is least, such as between two trees.
 
     Args:
-        photos: number that a section shall have, without those that overlap; sections: their number, 0 to choose it.
+        photos: number of a section, without those that overlap; sections: their number, 0 to choose it.
 
     Raises:
         ConfigError: the photos show too short a part of a row for this number of sections.

@@ -181,7 +181,7 @@ def test_more_trees_than_the_block_has_are_an_error_before_anything_is_counted(b
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
-    [(["gone.csv"], "gone.csv cannot be read"), ([], "what shall be counted? Fill the column prompt")],
+    [(["gone.csv"], "gone.csv cannot be read"), ([], "nothing says what to count. Fill the column prompt")],
 )
 def test_what_is_wrong_is_one_line(arguments: list[str], text: str, tmp_path: Path) -> None:
     (tmp_path / "tree").mkdir()

@@ -38,7 +38,7 @@ class Embedder:
 
         Raises:
             EncoderError: weights are missing, unsafe or unreadable.
-            ConfigError: codes shall be trained along for an encoder that has no masks.
+            ConfigError: codes are to be trained along for an encoder without masks.
         """
         encoder = open_encoder(config)
         whole = sees_whole(encoder)

@@ -149,7 +149,8 @@ def _notices(files: Sequence[Path], model: Path) -> list[str]:
     missing = sorted({file.name for file in files} - set(found["placed"]))
     if missing:
         notices.append(
-            f"{len(missing)} of {len(files)} photos fit nowhere and were left out, first {missing[0]}. Take more there"
+            f"{len(missing)} of {len(files)} photos could not be registered and were left out, first {missing[0]}. "
+            "Take more photos in that area"
         )
     if len(found["models"]) > 1:
         notices.append(

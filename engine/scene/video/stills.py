@@ -188,6 +188,6 @@ def _notices(video: Video, steps: Sequence[Step]) -> list[str]:
     if length > longest:
         notices.append(
             f"the camera path of {video.path.name} is {length / longest:.1f} times too long for {MOST_STILLS} stills,"
-            " so they are farther apart. If photos fit nowhere, give a shorter video"
+            " so they are farther apart. If photos cannot be registered, give a shorter video"
         )
     return notices

@@ -58,7 +58,7 @@ class Adapter:
             raise GpuError(f"{self.name} cannot be used: {self.missing[0]}. Train with --train.device cpu")
 
     def request(self, features: Sequence[str] = ()) -> Any:
-        """Open the device. features: further features of WebGPU that it shall have.
+        """Open the device. features: further features of WebGPU that it needs.
 
         Raises:
             GpuError: it lacks what the kernels need, or its driver refuses.

@@ -149,7 +149,7 @@ class Card:
         return self._bound[key]
 
     def record(self) -> Recording:
-        """Begin what the card shall do next."""
+        """Begin the next commands of the card."""
         return Recording(self)
 
     def submit(self, commands: Sequence[Sequence[Any]]) -> None:

@@ -89,7 +89,7 @@ def test_a_mask_of_tall_pixels_is_searched_along_each_axis_by_its_own_focal_leng
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda path: path.unlink(), "half-made"),
+        (lambda path: path.unlink(), "incomplete"),
         (lambda path: path.write_bytes(path.read_bytes()[:60]), "damaged"),
         (lambda path: Image.new("I;16", (4, 4)).save(path), "4×4 pixels"),
         (lambda path: Image.new("RGB", (128, 96)).save(path), "not a 16-bit image"),

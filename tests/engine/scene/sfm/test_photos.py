@@ -283,7 +283,7 @@ def test_photos_that_fit_nowhere_are_named(walk: Path, tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     Image.fromarray(noise).save(tmp_path / "images" / "a.png")
     (notice,) = find_poses(tmp_path / "images", tmp_path / "found").notices
-    assert notice.startswith("1 of 7 photos fit nowhere and were left out, first a.png")
+    assert notice.startswith("1 of 7 photos could not be registered and were left out, first a.png")
 
 
 def test_parts_whose_photos_were_all_placed_are_no_parts() -> None:
