@@ -7,7 +7,6 @@ time, and Blender can enable the extension while packages are missing.
 
 from __future__ import annotations
 
-import tomllib
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from .engine.pipeline import count_scene, reconstruct_scene
     from .engine.publishing import Result
 
-__version__: str = tomllib.loads(Path(__file__).with_name("blender_manifest.toml").read_text("utf-8"))["version"]
+__version__: str
 
 __all__ = ["Config", "Fruit", "FruitLangsError", "Result", "count_scene", "open_result", "reconstruct_scene"]
 
@@ -37,12 +36,23 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import an exported name when it is first used."""
-    if name not in _MODULES:
+    """Import an exported name, or read the version, when it is first used."""
+    if name == "__version__":
+        value = _read_version()
+    elif name in _MODULES:
+        value = getattr(import_module(_MODULES[name], __name__), name)
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULES[name], __name__), name)
     globals()[name] = value
     return value
+
+
+def _read_version() -> str:
+    """The version in the manifest, its only place."""
+    import tomllib
+
+    manifest = Path(__file__).with_name("blender_manifest.toml").read_text(encoding="utf-8")
+    return str(tomllib.loads(manifest)["version"])
 
 
 def __dir__() -> list[str]:

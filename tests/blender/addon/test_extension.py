@@ -71,6 +71,7 @@ def test_manifest_agrees_with_the_package():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert manifest()["version"] == fruitlangs.__version__
     assert "version" in project["dynamic"]
+    assert "\nversion:" not in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     licences = project["license"].split(" AND ")
     assert manifest()["license"] == [f"SPDX:{licence}" for licence in licences]
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
