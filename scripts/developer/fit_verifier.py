@@ -25,7 +25,15 @@ from _terminal import import_tyro, run, say
 from fruitlangs.benchmarks.markdown import markdown
 from fruitlangs.engine.counting.photos.places import Places
 from fruitlangs.engine.counting.photos.search import search_photos
-from fruitlangs.engine.counting.photos.verifier import STORED, Network, Networks, read_networks, write_networks
+from fruitlangs.engine.counting.photos.verifier import (
+    STORED,
+    Network,
+    Networks,
+    StoredNetworks,
+    read_networks,
+    require_trained_for,
+    write_networks,
+)
 from fruitlangs.engine.evaluation.judgement import judge
 from fruitlangs.engine.evaluation.metrics import count_metrics
 from fruitlangs.engine.language.encoders.embedded import EmbeddedEncoder
@@ -72,12 +80,15 @@ def main(options: Options) -> None:
     rng, trees = np.random.default_rng(options.seed), list(prepare_trees(options.renders))
     checked = [tree for tree in trees if tree.name in options.check]
     learnt = [tree for tree in trees if tree not in checked]
-    stored = None if options.add is None else read_networks(options.add)
-    earlier, notes = (Networks([]), ()) if stored is None else (stored.networks, stored.notes)
+    encoder_id = EmbeddedEncoder.open().fruit_identity
+    earlier = StoredNetworks(Networks([]), (), encoder_id)
+    if options.add is not None:
+        require_trained_for(encoder_id, options.add)
+        earlier = read_networks(options.add)
     samples = [sample_around_truth(tree, rng) for tree in learnt for _ in range(COPIES)]
-    network: Network | Networks = earlier
+    network: Network | Networks = earlier.networks
     for number in range(options.rounds + 1):
-        if number or notes:
+        if number or earlier.notes:
             samples += [mine_samples(tree, network, rng) for tree in learnt]
         together = Samples.join(samples)
         say(f"training {number + 1} of {options.rounds + 1}: {len(together)} places of {len(learnt)} trees")
@@ -87,10 +98,10 @@ def main(options: Options) -> None:
             calibrate(network, checked)
             say(table(checked, network))
         used = {"trees": [tree.name for tree in learnt], "calibrated on": [tree.name for tree in checked]}
-        networks = Networks([*earlier.networks, network])
-        write_networks(options.out, networks, [*notes, used], EmbeddedEncoder.open().fruit_identity)
-    if notes and checked:
-        say(f"all {len(notes) + 1} networks together:\n{table(checked, networks)}")
+        networks = Networks([*earlier.networks.networks, network])
+        write_networks(options.out, networks, [*earlier.notes, used], encoder_id)
+    if earlier.notes and checked:
+        say(f"all {len(networks.networks)} networks together:\n{table(checked, networks)}")
 
 
 def table(trees: list[Tree], network: Network | Networks) -> str:

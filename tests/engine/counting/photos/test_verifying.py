@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import fit_verifier
 import numpy as np
 import pytest
 import torch
@@ -10,7 +13,15 @@ from scipy.spatial import cKDTree
 
 from fruitlangs.engine.counting.photos.places import NO_PLACES, Places
 from fruitlangs.engine.counting.photos.search import FoundInPhotos, search_photos
-from fruitlangs.engine.counting.photos.verifier import SCENE, Looked, Network, load_networks, look
+from fruitlangs.engine.counting.photos.verifier import (
+    SCENE,
+    STORED,
+    Looked,
+    Network,
+    load_networks,
+    look,
+    read_networks,
+)
 from fruitlangs.engine.evaluation.truth import Truth
 from fruitlangs.fitting.counting import verifying
 from fruitlangs.fitting.counting.verifying import (
@@ -123,6 +134,17 @@ def test_equal_places_train_equal_networks(tree: Tree) -> None:
     samples = sample_around_truth(tree, np.random.default_rng(0))
     one, other = (fit(samples, epochs=1, seed=0) for _ in range(2))
     assert all((a == b).all() for a, b in zip(one.parameters(), other.parameters(), strict=True))
+
+
+def test_a_network_is_added_to_those_of_a_file(tree: Tree, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(fit_verifier, "prepare_trees", lambda _: [tree])
+    out, given = tmp_path / "out.safetensors", {"renders": tmp_path, "add": STORED, "rounds": 0, "epochs": 1}
+    fit_verifier.main(fit_verifier.Options(out=out, **given))
+    before, after = read_networks(STORED), read_networks(out)
+    assert len(after.networks.networks) == len(before.networks.networks) + 1
+    assert after.notes == [*before.notes, {"trees": ["ball"], "calibrated on": []}]
+    for kept, own in zip(after.networks.networks, before.networks.networks, strict=False):
+        assert all((a == b).all() for a, b in zip(kept.parameters(), own.parameters(), strict=True))
 
 
 def test_log_odds_are_calibrated_to_the_share_of_places_that_are_fruit(
