@@ -8,7 +8,7 @@ from __future__ import annotations
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
 
-from ..operators.block.block import apply_chosen_colors, select_chosen_tree
+from ..operators.block.block import apply_block_colors, select_chosen_tree
 from ..operators.settings.settings import RELATIVE
 
 
@@ -36,7 +36,7 @@ class FRUITLANGS_PG_block(bpy.types.PropertyGroup):
             ("TREE", "Tree", "A colour for each tree"),
             ("PROBABILITY", "Probability", "Yellow: certainly a fruit; blue: uncertain"),
         ],
-        update=apply_chosen_colors,
+        update=apply_block_colors,
         description="What the colours of the fruit show",
     )
 

@@ -13,7 +13,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, Po
 from ..operators.drawing.splat_drawing import edit_appearance_soon
 from ..operators.settings.settings import RELATIVE, apply_preset, make_config_properties, stage_classes
 from ..operators.steps.ask import answer_changed_words, apply_threshold, suggest_prompts
-from ..operators.viewport.fruit_colours import apply_chosen_colours
+from ..operators.viewport.fruit_colours import apply_fruit_colors
 from ..operators.viewport.gaussian_nodes import DIMMING
 from . import block_properties as block
 from . import check_properties as check
@@ -149,7 +149,7 @@ class FRUITLANGS_PG_look(bpy.types.PropertyGroup):
             ("TREE", "Tree", "A colour for each tree of a row"),
             ("PROBABILITY", "Probability", "Yellow: certainly a fruit; blue: uncertain"),
         ],
-        update=apply_chosen_colours,
+        update=apply_fruit_colors,
         description="What the colours of the fruit show",
     )
 

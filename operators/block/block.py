@@ -337,7 +337,7 @@ def select_chosen_tree(block: Any, context: bpy.types.Context) -> None:
     select_only(context, [item for item in find_owned_objects(context.scene, "block-fruit") if item.get(TREE) == name])
 
 
-def apply_chosen_colors(block: Any, context: bpy.types.Context) -> None:
+def apply_block_colors(block: Any, context: bpy.types.Context) -> None:
     """Called when the colours of the fruit were chosen."""
     color_fruit(block.id_data, block.colors)
 

@@ -17,6 +17,7 @@ from ..blender_data import (
     Role,
     ensure_owned_collection,
     find_owned_objects,
+    get_attribute,
     linear_from_srgb,
     make_object,
     remove_objects,
@@ -142,9 +143,7 @@ def _color(item: bpy.types.Object, number: int, colors: Colors) -> None:
     if colors == "TREE":
         shown = np.tile(tree_colour(number), (count, 1))
     else:
-        probabilities = np.empty(count, np.float32)
-        mesh.attributes[PROBABILITIES].data.foreach_get("value", probabilities)
-        shown = probability_colours(probabilities)
+        shown = probability_colours(get_attribute(mesh, PROBABILITIES))
     set_attribute(mesh, COLORS, "FLOAT_COLOR", rgba(linear_from_srgb(shown)))
     mesh.attributes.active_color = mesh.attributes[COLORS]
     mesh.update()

@@ -64,7 +64,7 @@ def colour_fruit(item: bpy.types.Object) -> None:
     item.color = (*(float(value) for value in linear_from_srgb(rgb)), 1.0)
 
 
-def apply_chosen_colours(look: Any, _context: Any = None) -> None:
+def apply_fruit_colors(look: Any, _context: Any = None) -> None:
     """Called when the colours were chosen in the panel."""
     if look.id_data.library is None:
         for item in find_owned_objects(look.id_data, "fruit"):
