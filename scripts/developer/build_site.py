@@ -66,9 +66,7 @@ def make_html(folder: Path) -> None:
     package.mkdir(parents=True)
     for name in ("__init__.py", "engine"):  # all that is documented; other folders would take a minute to read
         (package / name).symlink_to(ROOT / name)
-    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").replace("build/site", f"{folder}/site")
-    settings = folder / "mkdocs.yml"
-    write_text(settings, text)
+    settings = shutil.copyfile(ROOT / "mkdocs.yml", folder / "mkdocs.yml")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--config-file", str(settings)]
     quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, env=quiet, capture_output=True, text=True, check=False)
