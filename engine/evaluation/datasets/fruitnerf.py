@@ -96,7 +96,7 @@ def read_fruitnerf_truth(folder: Path, *, label: str | None = None, fruits: Path
     best = int(np.argmax(shares))
     if not shares[best] >= _LEAST_HITS:
         raise FormatError(
-            f"{mesh}: the mesh could not be aligned with the masks of {folder} ({shares[best]:.0%} of centres at "
+            f"{mesh} could not be aligned with the masks of {folder} ({shares[best]:.0%} of centres at "
             "best). Expected the mesh of this tree: align it and give the aligned one"
         )
     frame = frames[best]
