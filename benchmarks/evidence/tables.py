@@ -30,18 +30,21 @@ METHODS = {"voting": "ours", "template": "the paper's template", "fruitnerf": "F
 
 
 def head(name: str, records: Sequence[Record], *, for_users: bool = False) -> str:
-    """Where a study comes from, and whether it is stale or not complete; for users only when it was measured."""
+    """Where a study comes from, and whether it is stale or not complete; for users only when it was measured, and
+    whether with an earlier version."""
     own, wanted = select_study(name, records), STUDIES[name].trials
     if not own:
         return "Not measured yet." if for_users else "Not measured yet: `make tables`."
     cells = [record.cells for record in own.values()]
     days = sorted({each["date"] for each in cells})
+    measured = f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))}"
+    stale = any(record.stale for record in own.values())
     if for_users:
-        return f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))}."
+        return f"{measured} with an earlier version." if stale else f"{measured}."
     commits = sorted({each["commit"] for each in cells})
-    text = f"Measured {' to '.join(dict.fromkeys((days[0], days[-1])))} at commit {', '.join(commits)}, on "
+    text = f"{measured} at commit {', '.join(commits)}, on "
     text += f"{'; '.join(sorted({each['machine'] for each in cells}))}."
-    if any(record.stale for record in own.values()):
+    if stale:
         text += " **Stale**: measured with earlier code."
     if len(own) < len(wanted):
         text += f" {len(wanted) - len(own)} of {len(wanted)} rows are not measured yet with this code."

@@ -50,6 +50,8 @@ def test_tables_for_users_have_the_day_and_neither_commit_nor_machine() -> None:
     assert f"Measured {record.cells['date']}.\n" in text
     assert record.cells["commit"] not in text
     assert record.cells["machine"] not in text
+    old = fill("<!-- table whole -->\n<!-- end -->", [changed(record, code="0" * 12)], for_users=True)
+    assert f"Measured {record.cells['date']} with an earlier version.\n" in old
 
 
 def test_every_block_of_a_document_has_a_table_and_every_study_a_block() -> None:
