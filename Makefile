@@ -38,7 +38,7 @@ kernels: $(READY)
 pytest: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile $(TESTS)
 
-# The tables of README, docs/accuracy.md and benchmarks/RESULTS.md: many hours; goes on where it stopped.
+# The tables of docs/accuracy.md and benchmarks/RESULTS.md: many hours; goes on where it stopped.
 tables: $(READY)
 	$(BIN)/python scripts/developer/make_tables.py
 

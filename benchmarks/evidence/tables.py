@@ -52,7 +52,7 @@ def head(name: str, records: Sequence[Record], *, for_users: bool = False) -> st
 
 
 def tabulate_known_cameras(records: Sequence[Record]) -> str:
-    """Tabulate F1 by species and seed with true cameras, for the README."""
+    """Tabulate F1 by species and seed with true cameras."""
     own = select_study("known-cameras", records)
     lines = [["species"]]
     for seed in SEEDS[1:]:

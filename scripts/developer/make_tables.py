@@ -1,4 +1,4 @@
-"""Measure what README, docs/accuracy.md and benchmarks/RESULTS.md claim, and fill in their tables.
+"""Measure what README, docs/accuracy.md and benchmarks/RESULTS.md claim, and fill in the tables of the last two.
 
     python scripts/developer/make_tables.py                        # all that is stale or was not measured; many hours
     python scripts/developer/make_tables.py known-cameras phone    # only these studies
